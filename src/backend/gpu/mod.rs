@@ -1,0 +1,4 @@
+//! The wgpu backend.
+/// GPU.
+#[derive(Debug)]
+pub struct GpuBackend;

@@ -1,0 +1,103 @@
+//! The one seam between host and device: per-pixel work over a frame, summed per triangle.
+//!
+//! Every stage exists twice with the same name: `shaders/<stage>.wgsl` and its readable twin
+//! `src/backend/cpu/<stage>.rs`, which is its reference.
+
+pub mod cpu;
+#[cfg(feature = "gpu")]
+pub mod gpu;
+mod sums;
+
+use image::GrayImage;
+use nalgebra::Matrix3;
+
+use crate::error::{Error, Result};
+use crate::model::{LevelTemplate, Model};
+
+pub use cpu::CpuBackend;
+#[cfg(feature = "gpu")]
+pub use gpu::GpuBackend;
+pub use sums::{Sums, SumsRow};
+
+/// A model loaded into a backend.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ModelId(pub(crate) usize);
+
+/// The warp of one triangle at one pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TriangleWarp {
+    /// 3x3 from chart position (u, v, 1), relative to the chart's origin, to the homogeneous image position in the
+    /// frame's level image.
+    pub image_from_chart: Matrix3<f64>,
+    /// False leaves the triangle out: its sums are zero.
+    pub active: bool,
+}
+
+/// One call of the `accumulate` stage: many poses of one model against the current frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Request<'a> {
+    /// The model.
+    pub model: ModelId,
+    /// Pyramid level of template and image.
+    pub level: usize,
+    /// Number of poses B.
+    pub items: usize,
+    /// B times one warp per triangle.
+    pub warps: &'a [TriangleWarp],
+    /// B times the l appearance parameters.
+    pub appearance: &'a [f32],
+}
+
+impl Request<'_> {
+    /// Checks the sizes against the level's template and the pyramid of the current frame.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] saying what does not fit.
+    pub fn check(&self, level: &LevelTemplate, frame_levels: usize) -> Result<()> {
+        let refuse =
+            |problem: String, remedy: &str| Err(Error::invalid("accumulate request", problem, remedy));
+        if self.level >= frame_levels {
+            return refuse(
+                format!("level {} of a frame with {frame_levels}", self.level),
+                "call set_frame first",
+            );
+        }
+        let warps = self.items * level.charts.len();
+        let appearance = self.items * level.pixels.modes.len();
+        if self.warps.len() != warps || self.appearance.len() != appearance {
+            let problem = format!(
+                "{} warps and {} appearance parameters where {warps} and {appearance} are needed",
+                self.warps.len(),
+                self.appearance.len()
+            );
+            return refuse(problem, "give one warp per triangle and l parameters for every pose");
+        }
+        Ok(())
+    }
+}
+
+/// Does the image work. One frame is current at a time.
+pub trait Backend: Send {
+    /// What a person calls it: `cpu`, or the adapter's name.
+    fn name(&self) -> String;
+
+    /// Makes a model available.
+    ///
+    /// # Errors
+    /// [`crate::Error::AdapterTooSmall`] if it does not fit the device.
+    fn load(&mut self, model: &Model) -> Result<ModelId>;
+
+    /// Makes `image` (rectified) the current frame and builds `levels` pyramid levels of it.
+    ///
+    /// # Errors
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Gpu`] if the device fails.
+    fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()>;
+
+    /// Warps every active chart pixel into the current frame, forms r = T0 + sum lambda_k T_k - I (eq. 17) and adds
+    /// up q r times its factors per triangle.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for a request that does not fit the model or before the first frame,
+    /// [`crate::Error::DeviceLost`] or [`crate::Error::Gpu`] if the device fails.
+    fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()>;
+}

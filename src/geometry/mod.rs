@@ -1,0 +1,10 @@
+//! Cameras, poses, meshes and warps. Metres, radians, f64; no I/O.
+
+pub mod camera;
+pub mod mesh;
+pub mod pose;
+pub mod warp;
+
+pub use camera::{Camera, Distortion};
+pub use mesh::TriangleMesh;
+pub use pose::Pose;

@@ -1,0 +1,13 @@
+//! What is known about an object: its shape, and how its triangles look in their reference views.
+
+pub mod chart;
+pub mod file;
+pub mod moments;
+pub mod shape;
+pub mod template;
+pub mod weights;
+
+pub use chart::{Chart, ChartGeometry};
+pub use moments::Moments;
+pub use shape::Shape;
+pub use template::{LevelTemplate, Model, Pixels, View};

@@ -1,0 +1,53 @@
+//! The 3D shape that is tracked: a mesh cut into small flat triangles, grouped into smooth faces.
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+
+use crate::error::Result;
+use crate::geometry::mesh::{Faces, TriangleMesh};
+
+/// Neighbouring triangles whose normals differ by more than this (50 degrees) belong to different faces.
+pub const CREASE_ANGLE: f64 = 50.0 * std::f64::consts::PI / 180.0;
+
+/// 3D shape in the object frame, metres.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Shape {
+    /// The triangles that carry charts.
+    pub mesh: TriangleMesh,
+    /// Smooth faces of the triangles, with their borders.
+    pub faces: Faces,
+    /// Corner points of the bounding box (metres), for errors in pixels and for overlays.
+    pub corners: [Point3<f64>; 8],
+    /// Centre of rotation of pose increments: the mean of the vertices of the uncut mesh, metres.
+    pub centre: Point3<f64>,
+}
+
+impl Shape {
+    /// Builds a shape from a mesh; triangles with an edge longer than `limit` in the measure `length` are cut.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] if the mesh is not usable ([`TriangleMesh::validate`]).
+    pub fn from_mesh(
+        mesh: &TriangleMesh,
+        limit: f64,
+        length: impl Fn(&Point3<f64>, &Point3<f64>) -> f64,
+    ) -> Result<Self> {
+        mesh.validate()?;
+        let whole = mesh.welded();
+        let faces = whole.faces(CREASE_ANGLE);
+        let (pieces, source) = whole.subdivided(limit, length);
+        let of_triangle = source.iter().map(|&s| faces.of_triangle[s]).collect();
+        let (lo, hi) = whole.bounds();
+        let pick = |bit: usize, k: usize| if k >> bit & 1 == 0 { lo[bit] } else { hi[bit] };
+        let corners = std::array::from_fn(|k| Point3::new(pick(0, k), pick(1, k), pick(2, k)));
+        let sum = whole.vertices.iter().fold(nalgebra::Vector3::zeros(), |s, v| s + v.coords);
+        #[expect(clippy::cast_precision_loss, reason = "vertex counts are far below 2^52")]
+        let centre = Point3::from(sum / whole.vertices.len() as f64);
+        Ok(Self { mesh: pieces, faces: Faces { of_triangle, ..faces }, corners, centre })
+    }
+
+    /// Number of triangles.
+    pub fn triangles(&self) -> usize {
+        self.mesh.triangles.len()
+    }
+}

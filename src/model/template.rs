@@ -1,0 +1,134 @@
+//! The template: for every pyramid level the chart pixels of all triangles, sorted by triangle.
+
+use serde::{Deserialize, Serialize};
+
+use super::chart::{Chart, ChartGeometry};
+use super::moments::Moments;
+use super::shape::Shape;
+use crate::error::{Error, Result};
+use crate::geometry::{Camera, Pose};
+
+/// A reference view: a pinhole camera (full size) and where the object was in it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct View {
+    /// Camera of the rectified image.
+    pub camera: Camera,
+    /// Pose of the object in it.
+    pub camera_from_object: Pose,
+}
+
+/// Chart pixels of one level, one entry per pixel in every column.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Pixels {
+    /// Position relative to the chart's origin, pixels.
+    pub position: Vec<[u16; 2]>,
+    /// Template gradient (u, v), grey levels per pixel.
+    pub gradient: Vec<[f32; 2]>,
+    /// Mean template intensity T0, grey levels 0..255.
+    pub intensity: Vec<f32>,
+    /// Weight q of eq. (10), 0..1.
+    pub weight: Vec<f32>,
+    /// Appearance modes T1..Tl of eq. (4), one column each, in grey levels per standard deviation.
+    pub modes: Vec<Vec<f32>>,
+}
+
+impl Pixels {
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// True if there are none.
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+}
+
+/// One pyramid level of the template.
+#[derive(Debug, Clone)]
+pub struct LevelTemplate {
+    /// Pixels of all charts, sorted by triangle.
+    pub pixels: Pixels,
+    /// One chart per triangle of the shape.
+    pub charts: Vec<Chart>,
+    /// Geometry of every chart that has pixels.
+    pub geometry: Vec<Option<ChartGeometry>>,
+    /// Sums over every chart that give JtQJ at any pose.
+    pub moments: Vec<Moments>,
+}
+
+impl LevelTemplate {
+    /// Joins pixels and charts with what follows from them.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if the columns differ in length, a chart reaches beyond them, or a number is not finite.
+    pub fn new(
+        shape: &Shape,
+        views: &[View],
+        level: usize,
+        pixels: Pixels,
+        charts: Vec<Chart>,
+    ) -> Result<Self> {
+        check(shape, views, &pixels, &charts).map_err(|problem| {
+            Error::invalid(format!("template level {level}"), problem, "train the model again")
+        })?;
+        let geometry: Vec<_> = charts
+            .iter()
+            .enumerate()
+            .map(|(t, c)| {
+                (!c.is_empty())
+                    .then(|| ChartGeometry::new(shape, t, &views[c.view as usize], level, c.origin))
+                    .flatten()
+            })
+            .collect();
+        let moments = charts
+            .iter()
+            .zip(&geometry)
+            .map(|(c, g)| {
+                g.as_ref().map_or_else(|| Moments::zero(pixels.modes.len()), |g| Moments::new(&pixels, c, g))
+            })
+            .collect();
+        Ok(Self { pixels, charts, geometry, moments })
+    }
+}
+
+fn check(shape: &Shape, views: &[View], pixels: &Pixels, charts: &[Chart]) -> Result<(), String> {
+    let n = pixels.len();
+    let lengths = [pixels.gradient.len(), pixels.intensity.len(), pixels.weight.len()];
+    if lengths.iter().chain(&pixels.modes.iter().map(Vec::len).collect::<Vec<_>>()).any(|&l| l != n) {
+        return Err(format!("columns of different lengths, {n} positions"));
+    }
+    if charts.len() != shape.triangles() {
+        return Err(format!("{} charts for {} triangles", charts.len(), shape.triangles()));
+    }
+    if let Some(t) =
+        charts.iter().position(|c| c.start > c.end || c.end as usize > n || c.view as usize >= views.len())
+    {
+        return Err(format!("the chart of triangle {t} points outside the template"));
+    }
+    let numbers = pixels.intensity.iter().chain(&pixels.weight).chain(pixels.gradient.as_flattened());
+    if numbers.chain(pixels.modes.iter().flatten()).any(|v| !v.is_finite()) {
+        return Err("a number is not finite".into());
+    }
+    Ok(())
+}
+
+/// A trained object: what [`crate::track::Tracker`] needs, and what a model file holds.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// BOP object id.
+    pub object_id: u32,
+    /// 3D shape.
+    pub shape: Shape,
+    /// Reference views.
+    pub views: Vec<View>,
+    /// Template per pyramid level, level 0 first.
+    pub levels: Vec<LevelTemplate>,
+}
+
+impl Model {
+    /// Number of appearance modes l.
+    pub fn modes(&self) -> usize {
+        self.levels.first().map_or(0, |l| l.pixels.modes.len())
+    }
+}
