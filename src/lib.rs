@@ -1,9 +1,12 @@
 //! Tracks the 6-DoF pose of a known, textured, rigid object in calibrated video.
 
+pub mod align;
 pub mod backend;
 pub mod error;
 pub mod geometry;
 pub mod imaging;
 pub mod model;
+pub mod track;
+pub mod train;
 
 pub use error::{Error, Result};

@@ -40,6 +40,12 @@ impl Sums {
         SumsRow(&self.data[(item * self.triangles + triangle) * n..][..n])
     }
 
+    /// All rows of one pose, one after the other.
+    pub fn item(&self, item: usize) -> &[f64] {
+        let n = self.triangles * Self::row_len(self.modes);
+        &self.data[item * n..][..n]
+    }
+
     /// All rows of all poses, one after the other, for backends to write to.
     pub fn rows_mut(&mut self) -> std::slice::ChunksExactMut<'_, f64> {
         let n = Self::row_len(self.modes);

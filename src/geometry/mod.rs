@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod mesh;
 pub mod pose;
+pub mod raster;
 pub mod warp;
 
 pub use camera::{Camera, Distortion};

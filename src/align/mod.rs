@@ -1,0 +1,79 @@
+//! One frame: from a start pose to the pose that aligns the template with the image.
+
+mod covariance;
+mod inverse_compositional;
+mod levenberg_marquardt;
+mod normal_equations;
+mod photometric;
+mod robust;
+mod score;
+
+use nalgebra::Matrix6;
+
+use crate::backend::{Backend, ModelId};
+use crate::error::Result;
+use crate::geometry::{Camera, Pose};
+use crate::model::Model;
+
+pub use covariance::to_ros_order;
+pub use inverse_compositional::{InverseCompositional, Options};
+pub use photometric::Grouping;
+pub use score::Score;
+
+/// What is aligned: a model, loaded into a backend, seen by a pinhole camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Target<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// Its id in the backend.
+    pub id: ModelId,
+    /// Camera of the current (rectified) frame, full size.
+    pub camera: Camera,
+}
+
+/// Where an alignment starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Start {
+    /// Pose `camera_from_object`.
+    pub camera_from_object: Pose,
+    /// Appearance parameters, l of them, in standard deviations of the training set.
+    pub appearance: Vec<f64>,
+}
+
+/// The end of an alignment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseEstimate {
+    /// Pose `camera_from_object`.
+    pub camera_from_object: Pose,
+    /// Appearance parameters, l of them, in standard deviations of the training set.
+    pub appearance: Vec<f64>,
+    /// Covariance of the increment `[tx ty tz rx ry rz]` (metres, radians) in object axes about
+    /// [`crate::model::Shape::centre`]; [`to_ros_order`] turns it into the camera frame. Zero where the pose is not
+    /// determined.
+    pub covariance: Matrix6<f64>,
+    /// Weighted root mean square residual after gain and bias, grey levels.
+    pub rms: f64,
+    /// Solved Levenberg-Marquardt steps over all levels.
+    pub iterations: usize,
+    /// False if a level ran into the iteration limit or its equations could not be solved.
+    pub converged: bool,
+    /// How well template and image agree.
+    pub score: Score,
+}
+
+/// Aligns a model with the current frame of a backend.
+pub trait Aligner: Send {
+    /// Pyramid levels the frame must have.
+    fn levels(&self, model: &Model) -> usize;
+
+    /// Aligns every start on its own; estimates come in the order of the starts.
+    ///
+    /// # Errors
+    /// Those of the backend. A start from which nothing is visible is no error: its score is zero.
+    fn align(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+    ) -> Result<Vec<PoseEstimate>>;
+}

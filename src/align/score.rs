@@ -1,0 +1,81 @@
+//! Does the image show the object where the pose says? Correlation per triangle tells right from wrong where
+//! residuals do not.
+
+use nalgebra::DVector;
+
+use super::normal_equations::Rows;
+use super::robust::median;
+use crate::model::LevelTemplate;
+use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
+
+/// Triangles with less variance (grey levels squared) have no texture to correlate.
+const MIN_VARIANCE: f64 = 25.0;
+/// Correlation from which on a triangle counts as recognised.
+const RECOGNISED: f64 = 0.7;
+/// A triangle is looked at if this share of it is inside the image.
+const MIN_INSIDE: f64 = 0.5;
+/// Fewer textured triangles than this say nothing.
+const MIN_TRIANGLES: usize = 3;
+/// A pose is lost below this median correlation.
+pub(super) const LOST_CORRELATION: f64 = 0.56;
+/// A pose is lost below this share of recognised triangles.
+pub(super) const LOST_SHARE: f64 = 0.42;
+
+/// Agreement of template and image at a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Score {
+    /// Median over the visible textured triangles of the correlation between template and image, -1..1.
+    pub correlation: f64,
+    /// Share (0..1) of them with a correlation above 0.7.
+    pub recognised: f64,
+    /// Share (0..1) of the template's pixels that were visible and inside the image.
+    pub visible: f64,
+}
+
+impl Score {
+    /// True if the object is not where the pose says.
+    pub fn is_lost(&self) -> bool {
+        // Written so that NaN is lost.
+        !(self.correlation >= LOST_CORRELATION && self.recognised >= LOST_SHARE)
+    }
+
+    /// Scores a pose from its sums; `visibility` is the share of each triangle that nothing hides.
+    pub(super) fn new(
+        level: &LevelTemplate,
+        rows: &Rows<'_>,
+        visibility: &[f64],
+        appearance: &[f64],
+    ) -> Self {
+        let seen = |t: usize| visibility[t] > 0.0 && rows.inside(level, t) >= MIN_INSIDE;
+        let textured = |t: &usize| seen(*t) && level.moments[*t].variance() >= MIN_VARIANCE;
+        let correlations: Vec<f64> =
+            (0..visibility.len()).filter(textured).map(|t| correlation(level, rows, t, appearance)).collect();
+        let all: f64 = level.moments.iter().map(|m| m.count).sum();
+        let inside: f64 = (0..visibility.len()).map(|t| visibility[t] * rows.row(t).count()).sum();
+        let visible = if all > 0.0 { inside / all } else { 0.0 };
+        if correlations.len() < MIN_TRIANGLES {
+            return Self { visible, ..Self::default() };
+        }
+        let recognised = correlations.iter().filter(|c| **c > RECOGNISED).count();
+        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+        let recognised = recognised as f64 / correlations.len() as f64;
+        Self { correlation: median(correlations), recognised, visible }
+    }
+}
+
+/// Correlation of template T = sum a_k A_k and image I = T - r over one triangle, weighted by q.
+fn correlation(level: &LevelTemplate, rows: &Rows<'_>, triangle: usize, appearance: &[f64]) -> f64 {
+    let (row, inside) = (rows.row(triangle), rows.inside(level, triangle));
+    let b = &level.moments[triangle].appearance;
+    let mut a = DVector::zeros(b.nrows());
+    a[GAIN] = 1.0;
+    a.rows_mut(FIRST_MODE, appearance.len()).copy_from_slice(appearance);
+    let ba = b * &a * inside;
+    let aw: f64 = a.iter().zip(row.appearance()).map(|(a, w)| a * w).sum();
+    let n = row.weight();
+    let (t, tt) = (ba[BIAS], a.dot(&ba));
+    let (i, ti, ii) = (t - row.appearance()[BIAS], tt - aw, tt - 2.0 * aw + row.cost());
+    let covariance = ti - t * i / n;
+    let variances = (tt - t * t / n) * (ii - i * i / n);
+    if variances > 0.0 { (covariance / variances.sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
+}

@@ -1,0 +1,154 @@
+//! Which pixel centres a projected triangle covers, and which triangles of a mesh are hidden by others.
+
+use nalgebra::{Point2, Point3};
+
+use super::camera::Camera;
+use super::mesh::TriangleMesh;
+use super::pose::Pose;
+use super::warp::{double_area, plane};
+
+/// A surface counts as hidden when something lies in front of it by more than this share of its depth.
+const DEPTH_TOLERANCE: f64 = 0.004;
+
+/// Calls `visit(u, v)` for every pixel centre of a `width` x `height` image inside the triangle, borders included.
+pub fn for_each_pixel(t: &[Point2<f64>; 3], width: u32, height: u32, mut visit: impl FnMut(u32, u32)) {
+    let sign = double_area(t).signum();
+    let lo = t[0].inf(&t[1]).inf(&t[2]);
+    let hi = t[0].sup(&t[1]).sup(&t[2]);
+    let (Some(columns), Some(rows)) = (span(lo.x, hi.x, width), span(lo.y, hi.y, height)) else { return };
+    for v in rows {
+        for u in columns.clone() {
+            let p = Point2::new(f64::from(u), f64::from(v));
+            let inside = |a: usize, b: usize| sign * (t[b] - t[a]).perp(&(p - t[a])) >= -1e-9;
+            if inside(0, 1) && inside(1, 2) && inside(2, 0) {
+                visit(u, v);
+            }
+        }
+    }
+}
+
+/// Integers in [lo, hi] that are also in [0, n).
+fn span(lo: f64, hi: f64, n: u32) -> Option<std::ops::Range<u32>> {
+    let (lo, hi) = (lo.ceil().max(0.0), hi.floor().min(f64::from(n) - 1.0));
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the image")]
+    (lo <= hi).then(|| lo as u32..hi as u32 + 1)
+}
+
+/// For every triangle of the mesh the share (0..1) of its pixels inside the image that nothing hides, by z-buffer
+/// at the camera's resolution. Triangles that face away, reach behind the camera or lie outside get 0. A triangle
+/// too small for any pixel is judged by the pixel nearest to its centroid.
+pub fn visible_shares(mesh: &TriangleMesh, camera: &Camera, pose: &Pose) -> Vec<f64> {
+    let projected: Vec<_> =
+        (0..mesh.triangles.len()).map(|t| Projected::new(mesh, t, camera, pose)).collect();
+    let (w, h) = (camera.width, camera.height);
+    let mut depth = vec![f64::INFINITY; w as usize * h as usize];
+    let at = |u: u32, v: u32| v as usize * w as usize + u as usize;
+    for t in projected.iter().flatten() {
+        for_each_pixel(&t.corners, w, h, |u, v| {
+            let z = t.depth(camera, u, v);
+            depth[at(u, v)] = depth[at(u, v)].min(z);
+        });
+    }
+    // (free pixels, all pixels) of a triangle.
+    let count = |t: &Projected, corners: &[Point2<f64>; 3]| {
+        let (mut free, mut all) = (0.0, 0.0);
+        for_each_pixel(corners, w, h, |u, v| {
+            all += 1.0;
+            free += f64::from(u8::from(t.depth(camera, u, v) * (1.0 - DEPTH_TOLERANCE) <= depth[at(u, v)]));
+        });
+        (free, all)
+    };
+    let share = |t: &Projected| {
+        let (free, all) = match count(t, &t.corners) {
+            (_, 0.0) => count(t, &[t.centroid_pixel(); 3]),
+            counted => counted,
+        };
+        if all == 0.0 { 0.0 } else { free / all }
+    };
+    projected.iter().map(|t| t.as_ref().map_or(0.0, share)).collect()
+}
+
+/// A triangle that faces the camera, in the image, with its plane n.X = d in the camera frame.
+struct Projected {
+    corners: [Point2<f64>; 3],
+    normal: nalgebra::Vector3<f64>,
+    offset: f64,
+}
+
+impl Projected {
+    fn new(mesh: &TriangleMesh, triangle: usize, camera: &Camera, pose: &Pose) -> Option<Self> {
+        let points: [Point3<f64>; 3] = mesh.corners(triangle).map(|x| pose.transform_point(&x));
+        let (normal, offset) = plane(&points)?;
+        // Outward normals point towards the camera at the origin: n.(0 - X) > 0.
+        if offset >= 0.0 {
+            return None;
+        }
+        let mut corners = [Point2::origin(); 3];
+        for (corner, x) in corners.iter_mut().zip(&points) {
+            *corner = camera.project(x)?;
+        }
+        Some(Self { corners, normal, offset })
+    }
+
+    fn centroid_pixel(&self) -> Point2<f64> {
+        let [a, b, c] = self.corners;
+        Point2::from((a.coords + b.coords + c.coords) / 3.0).map(f64::round)
+    }
+
+    /// Depth of the plane seen through a pixel centre, metres.
+    fn depth(&self, camera: &Camera, u: u32, v: u32) -> f64 {
+        let ray = nalgebra::Vector3::new(
+            (f64::from(u) - camera.cx) / camera.fx,
+            (f64::from(v) - camera.cy) / camera.fy,
+            1.0,
+        );
+        self.offset / self.normal.dot(&ray)
+    }
+}
+
+/// Cosine between a triangle's outward normal and the direction from its centroid to the camera; negative from
+/// behind.
+pub fn facing(points: &[Point3<f64>; 3], pose: &Pose) -> f64 {
+    let [a, b, c] = points.map(|x| pose.transform_point(&x));
+    let normal = (b - a).cross(&(c - a));
+    let centroid = (a.coords + b.coords + c.coords) / 3.0;
+    -normal.dot(&centroid) / (normal.norm() * centroid.norm()).max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn pixels_of_a_right_triangle() {
+        let t = [Point2::new(1.0, 1.0), Point2::new(4.0, 1.0), Point2::new(1.0, 4.0)];
+        let mut pixels = Vec::new();
+        for_each_pixel(&t, 100, 100, |u, v| pixels.push((u, v)));
+        assert_eq!(pixels.len(), 10, "{pixels:?}");
+        let mut clipped = 0;
+        for_each_pixel(&t.map(|p| p - Vector3::new(2.0, 2.0, 0.0).xy()), 100, 100, |_, _| clipped += 1);
+        assert_eq!(clipped, 3, "only (0,0), (1,0), (0,1) are in the image");
+    }
+
+    /// Two squares facing the camera, the nearer one covering the left half of the farther one.
+    #[test]
+    fn a_near_square_hides_half_of_a_far_one() {
+        let square = |x0: f64, x1: f64, z: f64| {
+            [(x0, -0.1), (x0, 0.1), (x1, 0.1), (x1, -0.1)].map(|(x, y)| Point3::new(x * z, y * z, z))
+        };
+        let mut mesh = TriangleMesh::default();
+        for (q, points) in [square(-0.1, 0.1, 1.0), square(-0.1, 0.0, 0.5)].iter().enumerate() {
+            let k = 4 * u32::try_from(q).expect("small");
+            mesh.vertices.extend(points);
+            mesh.triangles.extend([[k, k + 1, k + 2], [k, k + 2, k + 3]]);
+        }
+        let camera = Camera::pinhole(400.0, 400.0, 79.5, 59.5, 160, 120);
+        let shares = visible_shares(&mesh, &camera, &Pose::identity());
+        assert!((shares[0] + shares[1] - 1.0).abs() < 0.06, "half of the far square: {shares:?}");
+        assert!(shares[2] == 1.0 && shares[3] == 1.0, "the near square is free: {shares:?}");
+        let behind = Pose::new(nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 3.0), Vector3::z());
+        assert!(visible_shares(&mesh, &camera, &behind).iter().all(|&s| s == 0.0), "backs are not visible");
+        assert!(facing(&mesh.corners(0), &Pose::identity()) > 0.95, "the square faces the camera");
+    }
+}

@@ -1,0 +1,142 @@
+//! A sequence of frames: prediction, alignment, loss.
+
+mod prediction;
+
+use std::time::Instant;
+
+use image::GrayImage;
+
+use crate::align::{Aligner, PoseEstimate, Start, Target};
+use crate::backend::{Backend, ModelId};
+use crate::error::{Error, Result};
+use crate::geometry::{Camera, Pose};
+use crate::imaging::Rectifier;
+use crate::model::Model;
+use prediction::Motion;
+
+/// What is known about the object in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    /// The pose is believed.
+    Tracking,
+    /// The object is not where the pose says.
+    Lost,
+}
+
+/// Result of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tracked {
+    /// Is the pose to be believed?
+    pub status: Status,
+    /// The pose and all that is known about it.
+    pub estimate: PoseEstimate,
+    /// Wall time of this frame, milliseconds.
+    pub time_ms: f64,
+}
+
+/// Tracks one object through the frames of one camera.
+pub struct Tracker {
+    backend: Box<dyn Backend>,
+    aligner: Box<dyn Aligner>,
+    model: Model,
+    id: ModelId,
+    camera: Camera,
+    rectifier: Rectifier,
+    motion: Option<Motion>,
+    appearance: Vec<f64>,
+}
+
+impl std::fmt::Debug for Tracker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tracker")
+            .field("backend", &self.backend.name())
+            .field("camera", &self.camera)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Tracker {
+    /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] before the
+    /// first frame.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] reports.
+    pub fn new(
+        model: Model,
+        camera: Camera,
+        mut backend: Box<dyn Backend>,
+        aligner: Box<dyn Aligner>,
+    ) -> Result<Self> {
+        camera.validate()?;
+        let id = backend.load(&model)?;
+        let appearance = vec![0.0; model.modes()];
+        let rectifier = Rectifier::new(&camera);
+        Ok(Self { backend, aligner, model, id, camera, rectifier, motion: None, appearance })
+    }
+
+    /// Sets where to look in the next frame.
+    pub fn start_at(&mut self, camera_from_object: Pose) {
+        self.motion = Some(Motion::at_rest(camera_from_object));
+        self.appearance.fill(0.0);
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Name of the backend in use.
+    pub fn backend_name(&self) -> String {
+        self.backend.name()
+    }
+
+    /// Tracks the object into the next frame. After a lost frame the search goes on from the last believed pose.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] before [`Self::start_at`] or for an image of another size than the camera's; errors of the
+    /// backend. The tracker stays usable after an error.
+    pub fn track(&mut self, image: &GrayImage) -> Result<Tracked> {
+        let began = Instant::now();
+        let Some(motion) = self.motion else {
+            return Err(Error::invalid("tracker", "there is no pose to start from", "call start_at first"));
+        };
+        let centre = self.model.shape.centre;
+        let start =
+            Start { camera_from_object: motion.predict(&centre), appearance: self.appearance.clone() };
+        let estimate = self.align(image, std::slice::from_ref(&start))?.remove(0);
+        let status = if estimate.score.is_lost() { Status::Lost } else { Status::Tracking };
+        match status {
+            Status::Tracking => {
+                self.motion = Some(motion.advance(estimate.camera_from_object));
+                self.appearance.clone_from(&estimate.appearance);
+            }
+            Status::Lost => {
+                self.motion = Some(motion.stop());
+                self.appearance.fill(0.0);
+            }
+        }
+        Ok(Tracked { status, estimate, time_ms: began.elapsed().as_secs_f64() * 1e3 })
+    }
+
+    /// Aligns every start with one frame, each on its own, and leaves the track as it is.
+    ///
+    /// # Errors
+    /// As [`Self::track`].
+    pub fn align(&mut self, image: &GrayImage, starts: &[Start]) -> Result<Vec<PoseEstimate>> {
+        let expected = (self.camera.width, self.camera.height);
+        if image.dimensions() != expected {
+            let (w, h) = image.dimensions();
+            let problem = format!("{w}x{h}, but the camera has {}x{}", expected.0, expected.1);
+            return Err(Error::invalid("frame", problem, "give frames and calibration of the same camera"));
+        }
+        let levels = self.aligner.levels(&self.model);
+        if self.camera.distortion.is_none() {
+            self.backend.set_frame(image, levels)?;
+        } else {
+            self.backend.set_frame(&self.rectifier.rectify(image.clone()), levels)?;
+        }
+        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified() };
+        self.aligner.align(self.backend.as_mut(), &target, starts)
+    }
+}
