@@ -1,7 +1,9 @@
 //! Tracks the 6-DoF pose of a known, textured, rigid object in calibrated video.
 
 pub mod backend;
+pub mod dataset;
 pub mod error;
+pub mod eval;
 pub mod geometry;
 pub mod imaging;
 pub mod model;
