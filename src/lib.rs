@@ -2,7 +2,9 @@
 
 pub mod align;
 pub mod backend;
+pub mod dataset;
 pub mod error;
+pub mod eval;
 pub mod geometry;
 pub mod imaging;
 pub mod model;
