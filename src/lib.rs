@@ -5,5 +5,6 @@ pub mod error;
 pub mod geometry;
 pub mod imaging;
 pub mod model;
+pub mod simulate;
 
 pub use error::{Error, Result};
