@@ -8,6 +8,7 @@ pub mod eval;
 pub mod geometry;
 pub mod imaging;
 pub mod model;
+pub mod simulate;
 pub mod track;
 pub mod train;
 
