@@ -2,6 +2,8 @@
 
 pub mod align;
 pub mod backend;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod dataset;
 pub mod error;
 pub mod eval;

@@ -110,22 +110,47 @@ fn numbers<const N: usize>(record: &StringRecord, column: usize) -> Result<[f64;
 /// # Errors
 /// [`Error::Invalid`] for a number that is not finite (nothing is written then), [`Error::Io`].
 pub fn write(path: &Path, rows: &[ResultRow]) -> Result<()> {
-    for row in rows {
-        let pose = row.pose.matrix();
-        if pose.iter().chain(&row.time_s).chain([&row.score]).any(|v| !v.is_finite()) {
-            let what = format!("result of scene {}, image {}", row.scene_id, row.im_id);
-            return Err(Error::invalid(what, "a number is not finite", "write lost frames with score 0"));
-        }
-    }
-    write_atomically(path, |out| write_rows(out, rows))
+    rows.iter().try_for_each(check)?;
+    write_atomically(path, |out| {
+        let mut writer = ResultWriter::new(out)?;
+        rows.iter().try_for_each(|row| writer.write(row))
+    })
 }
 
-fn write_rows(out: &mut dyn Write, rows: &[ResultRow]) -> io::Result<()> {
-    let mut writer = csv::Writer::from_writer(out);
-    writer.write_record(COLUMNS)?;
-    for row in rows {
+/// Refuses a row that could not be read back.
+fn check(row: &ResultRow) -> Result<()> {
+    let pose = row.pose.matrix();
+    if pose.iter().chain(&row.time_s).chain([&row.score]).any(|v| !v.is_finite()) {
+        let what = format!("result of scene {}, image {}", row.scene_id, row.im_id);
+        return Err(Error::invalid(what, "a number is not finite", "write lost frames with score 0"));
+    }
+    Ok(())
+}
+
+/// Writes result rows one by one, each of them complete before the next begins.
+#[derive(Debug)]
+pub struct ResultWriter<W: Write>(csv::Writer<W>);
+
+impl<W: Write> ResultWriter<W> {
+    /// Writes the header line.
+    ///
+    /// # Errors
+    /// That of `out`.
+    pub fn new(out: W) -> io::Result<Self> {
+        let mut writer = csv::Writer::from_writer(out);
+        writer.write_record(COLUMNS)?;
+        writer.flush()?;
+        Ok(Self(writer))
+    }
+
+    /// Writes one row and hands it to the file system.
+    ///
+    /// # Errors
+    /// That of the underlying writer; `InvalidData` for a number that is not finite.
+    pub fn write(&mut self, row: &ResultRow) -> io::Result<()> {
+        check(row).map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))?;
         let r = row.pose.rotation().transpose();
-        writer.write_record([
+        self.0.write_record([
             row.scene_id.to_string(),
             row.im_id.to_string(),
             row.obj_id.to_string(),
@@ -135,8 +160,8 @@ fn write_rows(out: &mut dyn Write, rows: &[ResultRow]) -> io::Result<()> {
             joined((row.pose.translation() * 1000.0).iter()),
             row.time_s.map_or_else(|| "-1".to_owned(), |t| format!("{t:?}")),
         ])?;
+        self.0.flush()
     }
-    writer.flush()
 }
 
 fn joined<'a>(values: impl Iterator<Item = &'a f64>) -> String {
