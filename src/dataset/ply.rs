@@ -110,8 +110,12 @@ fn check_header(path: &Path, header: &Header, file_size: usize) -> Result<()> {
         return Err(Error::field(path, field, "missing, or not a list", EXPORT_AGAIN));
     }
     for (name, element) in &header.elements {
-        if element.count > file_size || element.properties.is_empty() {
-            let problem = format!("{} are announced, but the file has {file_size} bytes", element.count);
+        let bytes_each = element.properties.len();
+        if bytes_each == 0 || element.count > file_size / bytes_each {
+            let problem = format!(
+                "{} of {bytes_each} properties are announced, but the file has {file_size} bytes",
+                element.count
+            );
             return Err(Error::field(path, format!("element {name}"), problem, EXPORT_AGAIN));
         }
     }

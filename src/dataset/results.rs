@@ -62,10 +62,13 @@ pub fn read(path: &Path) -> Result<Vec<ResultRow>> {
 }
 
 fn csv_error(path: &Path, error: csv::Error) -> Error {
-    let line = error.position().map(csv::Position::line);
-    match (error.into_kind(), line) {
-        (csv::ErrorKind::Io(source), _) => Error::io(path, source),
-        (kind, line) => Error::line(path, line.unwrap_or(1), format!("{kind:?}"), REMEDY),
+    let line = error.position().map_or(1, csv::Position::line);
+    match error.into_kind() {
+        csv::ErrorKind::Io(source) => Error::io(path, source),
+        csv::ErrorKind::Utf8 { .. } => {
+            Error::line(path, line, "not UTF-8 text", "save the file as UTF-8 text")
+        }
+        other => Error::line(path, line, format!("{other:?}"), REMEDY),
     }
 }
 
@@ -220,6 +223,15 @@ mod tests {
             })
             .collect();
         assert!(failed.is_empty(), "{failed:#?}");
+    }
+
+    #[test]
+    fn missing_files_and_bytes_that_are_no_text_are_named() {
+        let text = read(Path::new("/nowhere/r.csv")).unwrap_err().to_string();
+        assert!(text.contains("/nowhere/r.csv"), "{text}");
+        let bytes = [SAMPLE, b"1,2,5,\xff"].concat();
+        let text = with_file("r.csv", &bytes, read).unwrap_err().to_string();
+        assert!(text.contains("r.csv:4: not UTF-8"), "{text}");
     }
 
     #[test]
