@@ -49,18 +49,18 @@ impl LightPath {
             gain: Wave::new(0.08, 90.0, &mut random),
             bias: Wave::new(6.0, 70.0, &mut random),
             sideways: Wave::new(0.9, 80.0, &mut random),
-            upwards: Wave::new(0.6, 110.0, &mut random),
+            upwards: Wave::new(0.45, 110.0, &mut random),
         }
     }
 
     /// The light at a frame.
     pub(super) fn at(&self, frame: f64) -> Light {
-        let towards = Vector3::new(self.sideways.at(frame), self.upwards.at(frame) - 0.4, -1.0);
+        let towards = Vector3::new(self.sideways.at(frame), self.upwards.at(frame) - 0.55, -1.0);
         Light {
             gain: 0.95 + self.gain.at(frame),
             bias: self.bias.at(frame),
             direction: towards.normalize(),
-            diffuse: 0.6,
+            diffuse: 0.5,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Synthetic sequences with exact ground truth: two textured objects, a CPU renderer, smooth paths, a BOP exporter.
 //!
-//! What is rendered is exactly the triangle mesh that is exported, and every number comes from seeded ChaCha
+//! What is rendered is exactly the triangle mesh that is exported, and every number comes from seeded `ChaCha`
 //! streams, `libm` and the four basic operations: a sequence is the same, byte for byte, on every machine.
 //!
 //! ```

@@ -62,12 +62,12 @@ pub fn relief(seed: u64) -> TexturedMesh {
         size: RELIEF_MM,
         texels_per_unit: TEXELS_PER_MM,
         base: 122.0,
-        grain: 26.0,
+        grain: 22.0,
         panels: 10,
         discs: 14,
-        rows: 9,
+        rows: 8,
         letter: 9.0,
-        softness: 0.7,
+        softness: 1.0,
         framed: true,
     };
     let texture = paint(&style, &mut Stream::new(seed, Purpose::Surface, 0));
@@ -126,7 +126,8 @@ pub fn textured_box(seed: u64) -> TexturedMesh {
     let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
     // Outward normal and "down" of the print on it.
     let sides = [(-z, y), (x, y), (-y, -z), (z, y), (-x, y), (y, z)];
-    for ((normal, down), index) in sides.into_iter().zip(0_u64..) {
+    let bases = [150.0, 105.0, 135.0, 120.0, 140.0, 112.0];
+    for (((normal, down), base), index) in sides.into_iter().zip(bases).zip(1_u64..) {
         let right = normal.cross(&down);
         let size = [right, down].map(|axis| axis.abs().dot(&Vector3::from(BOX_MM)));
         let quad = [-right - down, -right + down, right + down, right - down].map(|d| normal + d);
@@ -138,25 +139,22 @@ pub fn textured_box(seed: u64) -> TexturedMesh {
             object.mesh.triangles.push(pick.map(|k: usize| vertex(quad[k])));
             object.patches.push(Patch { texture: object.textures.len(), corners: pick.map(|k| texels[k]) });
         }
-        object
-            .textures
-            .push(paint(&box_style(size, index), &mut Stream::new(seed, Purpose::Surface, 1 + index)));
+        object.textures.push(paint(&box_style(size, base), &mut Stream::new(seed, Purpose::Surface, index)));
     }
     object
 }
 
-fn box_style(size: [f64; 2], side: u64) -> Style {
-    let base = [150.0, 105.0, 135.0, 120.0, 140.0, 112.0][side as usize % 6];
+fn box_style(size: [f64; 2], base: f64) -> Style {
     Style {
         size,
         texels_per_unit: TEXELS_PER_MM,
         base,
-        grain: 24.0,
+        grain: 19.0,
         panels: 4,
         discs: 4,
-        rows: 5,
+        rows: 4,
         letter: 8.0,
-        softness: 0.6,
+        softness: 1.05,
         framed: true,
     }
 }

@@ -33,7 +33,7 @@ pub(super) struct Style {
 }
 
 /// Cell size (units) and share of each octave of the noise.
-const OCTAVES: [(f64, f64); 5] = [(38.0, 0.7), (17.0, 0.55), (8.0, 0.5), (4.0, 0.42), (2.2, 0.3)];
+const OCTAVES: [(f64, f64); 5] = [(38.0, 1.0), (17.0, 0.7), (8.0, 0.5), (4.0, 0.36), (2.2, 0.2)];
 
 /// A rounded rectangle, filled or as an outline; a disc if the corner radius is half the size.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +52,7 @@ struct Mark {
 impl Mark {
     fn bar(centre: [f64; 2], half: [f64; 2], ink: f64) -> Self {
         let corner = 0.6 * half[0].min(half[1]);
-        Self { centre, half, corner, turn: [1.0, 0.0], outline: None, ink, opacity: 0.9 }
+        Self { centre, half, corner, turn: [1.0, 0.0], outline: None, ink, opacity: 0.75 }
     }
 
     /// Signed distance of a point to the mark's edge, negative inside.
@@ -174,7 +174,7 @@ fn frame(style: &Style, random: &mut Stream) -> Mark {
         turn: [1.0, 0.0],
         outline: Some(width),
         ink: if random.chance(0.5) { 60.0 } else { 200.0 },
-        opacity: 0.7,
+        opacity: 0.5,
     }
 }
 
@@ -197,7 +197,7 @@ fn panel(style: &Style, random: &mut Stream) -> Mark {
 /// A disc with a ring around or inside it, like a seal, a bolt or a logo.
 fn disc(style: &Style, random: &mut Stream) -> [Mark; 2] {
     let radius = random.range(0.6, 2.6) * style.letter;
-    let ink = if random.chance(0.5) { random.range(55.0, 95.0) } else { random.range(165.0, 205.0) };
+    let ink = if random.chance(0.5) { random.range(60.0, 100.0) } else { random.range(155.0, 195.0) };
     let disc = Mark {
         centre: somewhere(style, random),
         half: [radius; 2],
@@ -205,13 +205,13 @@ fn disc(style: &Style, random: &mut Stream) -> [Mark; 2] {
         turn: [1.0, 0.0],
         outline: random.chance(0.4).then_some(0.3 * radius),
         ink,
-        opacity: random.range(0.6, 0.95),
+        opacity: random.range(0.5, 0.8),
     };
     let inner = random.range(0.4, 0.7) * radius;
     let ring = Mark {
         half: [inner; 2],
         corner: inner,
-        outline: random.chance(0.5).then(|| 0.25 * inner),
+        outline: random.chance(0.5).then_some(0.25 * inner),
         ink: 255.0 - ink + random.range(-15.0, 15.0),
         ..disc
     };
@@ -222,7 +222,7 @@ fn disc(style: &Style, random: &mut Stream) -> [Mark; 2] {
 fn letters(style: &Style, y: f64, random: &mut Stream, mut stamp: impl FnMut(Mark)) {
     let height = random.range(0.45, 1.0) * style.letter;
     let (wide, stroke) = (0.34 * height, 0.08 * height + 0.12);
-    let ink = if random.chance(0.6) { random.range(50.0, 80.0) } else { random.range(175.0, 205.0) };
+    let ink = if random.chance(0.6) { random.range(62.0, 85.0) } else { random.range(165.0, 190.0) };
     let mut x = random.range(0.0, 0.55) * style.size[0];
     let end = x + random.range(0.2, 0.6) * style.size[0];
     while x < end.min(style.size[0]) {

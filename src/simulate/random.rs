@@ -1,4 +1,4 @@
-//! Seeded randomness that is the same on every machine: ChaCha streams, lattice noise, a Gaussian table.
+//! Seeded randomness that is the same on every machine: `ChaCha` streams, lattice noise, a Gaussian table.
 //!
 //! Nothing here calls the platform's mathematics library: `libm` and the four basic operations are exact everywhere.
 

@@ -216,3 +216,6 @@ impl Renderer {
         values
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,5 +1,9 @@
 //! Grey bitmaps on surfaces and behind them.
 
+use image::GrayImage;
+
+use crate::error::{Error, Result};
+
 /// A grey bitmap with texel centres at integers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Texture {
@@ -15,6 +19,19 @@ impl Texture {
         assert!(width >= 2 && height >= 2 && data.len() == width * height, "a texture is at least 2x2");
         // A hair below the last texel, so that the upper neighbour always exists.
         Self { width, limit: [(width - 1) as f64 - 1e-9, (height - 1) as f64 - 1e-9], data }
+    }
+
+    /// Uses an image as a texture, one texel per pixel.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an image below 2x2 pixels.
+    pub fn from_image(image: &GrayImage) -> Result<Self> {
+        let (width, height) = image.dimensions();
+        if width < 2 || height < 2 {
+            let problem = format!("{width}x{height} pixels are too few");
+            return Err(Error::invalid("texture", problem, "give an image of at least 2x2 pixels"));
+        }
+        Ok(Self::new(width as usize, image.as_raw().clone()))
     }
 
     /// Width and height, texels.
@@ -45,6 +62,13 @@ impl Texture {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn images_become_textures_unless_too_small() {
+        let image = GrayImage::from_raw(2, 2, vec![1, 2, 3, 4]).expect("four bytes");
+        assert_eq!(Texture::from_image(&image).expect("2x2").texels(), [1, 2, 3, 4], "texels");
+        assert!(Texture::from_image(&GrayImage::new(1, 5)).is_err(), "one column");
+    }
 
     #[test]
     fn bilinear_inside_and_clamped_outside() {
