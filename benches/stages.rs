@@ -11,6 +11,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+#[allow(dead_code, reason = "shared with the tests")]
 #[path = "../tests/support/scene.rs"]
 mod scene;
 use scene::Scene;

@@ -38,6 +38,7 @@ fn main() -> ExitCode {
         trial("accumulate/control_warp", a_moved_warp_is_noticed),
         trial("accumulate/control_pixel", a_changed_pixel_is_noticed),
         trial("accumulate/control_frame", a_changed_frame_is_noticed),
+        trial("accumulate/many_chunks", more_chunks_than_groups_agree),
         trial("accumulate/split", split_batches_are_equal),
         trial("accumulate/repeats", two_runs_are_equal),
         trial("accumulate/levels", every_level_sees_its_own_image),
@@ -119,6 +120,12 @@ fn split_batches_are_equal() -> Result<(), Failed> {
         }
     }
     Ok(())
+}
+
+/// A dispatch has at most 65535 workgroups per dimension.
+fn more_chunks_than_groups_agree() -> Result<(), Failed> {
+    let scene = Scene::of_single_pixels(8, 70_000, 3, 2);
+    Ok(Reference::new(&scene).compare(&scene, &sums(&mut shared(), &scene)?)?)
 }
 
 fn two_runs_are_equal() -> Result<(), Failed> {

@@ -159,7 +159,7 @@ fn workgroups_fit_every_device() {
         let partition = Partition::of_adapter(is_software);
         for mode_planes in MODE_PLANES {
             let workgroup = partition.accumulate_workgroup(mode_planes);
-            assert!(workgroup % REDUCE == 0 && workgroup <= 256, "workgroups of {workgroup}");
+            assert!(workgroup.is_multiple_of(REDUCE) && workgroup <= 256, "workgroups of {workgroup}");
             let module = with_workgroup(&ACCUMULATE, mode_planes, workgroup);
             assert_eq!(module.entry_points[0].workgroup_size, [workgroup, 1, 1], "workgroup size");
             let shared: u32 = module

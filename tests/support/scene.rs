@@ -30,8 +30,18 @@ impl Scene {
     /// fully inside the image; others may be partly outside, behind the camera, inactive or not a number.
     pub(crate) fn new(seed: u64, pixels: usize, modes: usize, items: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let image = image(&mut rng, SIZE.0, SIZE.1);
         let charts = charts(&mut rng, pixels);
+        Self::of_charts(rng, charts, modes, items)
+    }
+
+    /// A scene with one pixel per triangle.
+    pub(crate) fn of_single_pixels(seed: u64, pixels: u32, modes: usize, items: usize) -> Self {
+        let charts = (0..pixels).map(|start| Chart { start, end: start + 1, ..Chart::default() });
+        Self::of_charts(ChaCha8Rng::seed_from_u64(seed), charts.collect(), modes, items)
+    }
+
+    fn of_charts(mut rng: ChaCha8Rng, charts: Vec<Chart>, modes: usize, items: usize) -> Self {
+        let image = image(&mut rng, SIZE.0, SIZE.1);
         let warps: Vec<_> = (0..items)
             .flat_map(|item| (0..charts.len()).map(move |t| (item, t)))
             .map(|(item, t)| warp(&mut rng, item, t))
@@ -95,7 +105,7 @@ fn warp(rng: &mut ChaCha8Rng, item: usize, triangle: usize) -> TriangleWarp {
     }
     let tilt = [rng.random_range(-1e-3..1e-3), rng.random_range(-1e-3..1e-3), 1.0];
     // The horizon runs through the chart: its left part is behind the camera.
-    let [p, q, w] = if kind == 11 { [0.05, 0.0, -0.4] } else { tilt };
+    let [p, q, w] = if kind == 11 { [1.0, 0.0, -8.5] } else { tilt };
     let mut h = Matrix3::new(scale * cos, -scale * sin, 0.0, scale * sin, scale * cos, 0.0, p, q, w);
     for (row, shift) in offset.into_iter().enumerate() {
         let moved = h.row(row) + shift * h.row(2);

@@ -137,7 +137,12 @@ pub fn chunks(template: &LevelTemplate, limit: u32) -> Vec<Chunk> {
     let of_chart = |(t, chart): (u32, &crate::model::Chart)| {
         let end = chart.end;
         let starts = (chart.start..end).step_by(limit as usize);
-        starts.map(move |start| Chunk { start, end: (start + limit).min(end), triangle: t, unused: 0 })
+        starts.map(move |start| Chunk {
+            start,
+            end: start.saturating_add(limit).min(end),
+            triangle: t,
+            unused: 0,
+        })
     };
     (0..).zip(&template.charts).flat_map(of_chart).collect()
 }
@@ -181,7 +186,7 @@ fn centres(template: &LevelTemplate) -> Vec<Vector2<f64>> {
         let (lo, hi) = positions.iter().fold((first, first), |(lo, hi), p| {
             ([lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])])
         });
-        let [u, v] = [0, 1].map(|k| f64::from(lo[k].midpoint(hi[k])));
+        let [u, v] = [0, 1].map(|k| f64::from(hi[k] - (hi[k] - lo[k]) / 2));
         Vector2::new(u, v)
     };
     template.charts.iter().map(middle).collect()
