@@ -8,7 +8,7 @@ const MODES: u32 = max(MODE_PLANES, 1u);
 
 @group(0) @binding(0) var<uniform> level: Level;
 @group(0) @binding(1) var<storage, read> chunks: array<Chunk>;
-/// u in the low, v in the high half, relative to the chart's origin.
+/// Signed u in the low, v in the high half, relative to the chart's centre.
 @group(0) @binding(2) var<storage, read> positions: array<u32>;
 /// g_u, g_v, T0, q.
 @group(0) @binding(3) var<storage, read> texels: array<vec4f>;
@@ -82,8 +82,8 @@ fn accumulate(
     var gains = vec4f();
     var projections: array<vec4f, MODES>;
     for (var p = chunk.start + lane; p < end; p += WORKGROUP) {
-        let packed = positions[p];
-        let at = vec3f(f32(packed & 0xffffu), f32(packed >> 16u), 1.0);
+        let packed = bitcast<i32>(positions[p]);
+        let at = vec3f(f32((packed << 16u) >> 16u), f32(packed >> 16u), 1.0);
         let depth = dot(warp.row_w.xyz, at);
         let local = vec2f(dot(warp.row_u.xyz, at), dot(warp.row_v.xyz, at)) / depth;
         let corner = floor(local);

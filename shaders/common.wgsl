@@ -28,8 +28,8 @@ struct Chunk {
     unused: u32,
 }
 
-/// The warp of one triangle at one pose: chart position (u, v, 1) to the homogeneous image position relative to an
-/// integer base pixel near the warped chart, so that f32 loses nothing to the size of the image.
+/// The warp of one triangle at one pose: (u, v, 1) relative to the chart's centre to the homogeneous image position
+/// relative to an integer base pixel near the warped centre, so that f32 loses nothing to the size of the image.
 struct Warp {
     /// First row of the homography; w: the base pixel's u.
     row_u: vec4f,

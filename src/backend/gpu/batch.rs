@@ -1,5 +1,6 @@
 //! One call of `accumulate`: many poses of one model, as few dispatches as the device's limits allow.
 
+use nalgebra::Vector2;
 use wgpu::{
     BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor,
     ComputePipeline,
@@ -202,5 +203,16 @@ fn add_chunks(level: &DeviceLevel, chunk_rows: &[f32], rows: &mut [f64]) {
                 *sum += f64::from(*part);
             }
         }
+        for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
+            move_to_origin(row, centre);
+        }
+    }
+}
+
+/// Makes positions in the gradient sums relative to the chart's origin instead of its centre.
+fn move_to_origin(row: &mut [f64], centre: &Vector2<f64>) {
+    for slope in row[..6].chunks_exact_mut(3) {
+        slope[0] += centre.x * slope[2];
+        slope[1] += centre.y * slope[2];
     }
 }

@@ -50,16 +50,17 @@ pub struct Warp {
 }
 
 impl Warp {
-    /// Takes an integer pixel near the warped `centre` of the chart out of the homography, in f64, so that f32 holds
-    /// only distances within the chart.
+    /// The warp from positions relative to the chart's `centre`, minus an integer base pixel near the warped centre.
+    /// Both shifts are made in f64, so that f32 holds only distances within the chart.
     pub fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
         /// Largest base, pixels: f32 holds it and its neighbours exactly.
         const LIMIT: f64 = 4_194_304.0;
         if !warp.active {
             return Self::zeroed();
         }
-        let h = &warp.image_from_chart;
+        let mut h = warp.image_from_chart;
         let at = h * Vector3::new(centre.x, centre.y, 1.0);
+        h.set_column(2, &at);
         let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
         let base = [near(at.x), near(at.y), 0.0];
         let row = |i: usize, last: f64| {
@@ -90,7 +91,7 @@ pub struct Halving {
 pub(super) struct DeviceLevel {
     /// The chunk table, also needed to add up what comes back.
     pub(super) chunks: Vec<Chunk>,
-    /// Middle of every chart.
+    /// A pixel in the middle of every chart; positions on the device are relative to it.
     pub(super) centres: Vec<Vector2<f64>>,
     /// Number of modes l.
     pub(super) modes: usize,
@@ -102,7 +103,7 @@ impl DeviceLevel {
     /// Uploads a level.
     pub(super) fn upload(context: &Context, template: &LevelTemplate, chunk_pixels: u32) -> Result<Self> {
         let pixels = &template.pixels;
-        let chunks = chunks(template, chunk_pixels);
+        let (chunks, centres) = (chunks(template, chunk_pixels), centres(template));
         let level = Level {
             pixels: small(pixels.len()),
             chunks: small(chunks.len()),
@@ -112,7 +113,7 @@ impl DeviceLevel {
         let contents: [(&str, Vec<u8>); 5] = [
             ("level", bytemuck::bytes_of(&level).to_vec()),
             ("chunks", bytemuck::cast_slice(&chunks).to_vec()),
-            ("positions", bytemuck::cast_slice(&positions(pixels)).to_vec()),
+            ("positions", bytemuck::cast_slice(&positions(template, &centres)).to_vec()),
             ("texels", bytemuck::cast_slice(&texels(pixels)).to_vec()),
             ("modes", bytemuck::cast_slice(&mode_planes(pixels)).to_vec()),
         ];
@@ -127,7 +128,7 @@ impl DeviceLevel {
                 buffer
             })
         })?;
-        Ok(Self { chunks, centres: centres(template), modes: pixels.modes.len(), buffers })
+        Ok(Self { chunks, centres, modes: pixels.modes.len(), buffers })
     }
 }
 
@@ -136,7 +137,12 @@ pub fn chunks(template: &LevelTemplate, limit: u32) -> Vec<Chunk> {
     let of_chart = |(t, chart): (u32, &crate::model::Chart)| {
         let end = chart.end;
         let starts = (chart.start..end).step_by(limit as usize);
-        starts.map(move |start| Chunk { start, end: (start + limit).min(end), triangle: t, unused: 0 })
+        starts.map(move |start| Chunk {
+            start,
+            end: start.saturating_add(limit).min(end),
+            triangle: t,
+            unused: 0,
+        })
     };
     (0..).zip(&template.charts).flat_map(of_chart).collect()
 }
@@ -146,8 +152,19 @@ pub(super) fn small(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
-fn positions(pixels: &Pixels) -> Vec<u32> {
-    pixels.position.iter().map(|&[u, v]| u32::from(u) | u32::from(v) << 16).collect()
+/// Two 16-bit integers per pixel, relative to the chart's centre.
+fn positions(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<u32> {
+    let mut packed = vec![0; template.pixels.len()];
+    for (chart, centre) in template.charts.iter().zip(centres) {
+        for (word, position) in packed[chart.range()].iter_mut().zip(&template.pixels.position[chart.range()])
+        {
+            let shifted = [f64::from(position[0]) - centre.x, f64::from(position[1]) - centre.y];
+            #[expect(clippy::cast_possible_truncation, reason = "the centre is in the middle of a u16 range")]
+            let [u, v] = shifted.map(|x| u32::from((x as i16).cast_unsigned()));
+            *word = u | v << 16;
+        }
+    }
+    packed
 }
 
 fn texels(pixels: &Pixels) -> Vec<[f32; 4]> {
@@ -169,7 +186,8 @@ fn centres(template: &LevelTemplate) -> Vec<Vector2<f64>> {
         let (lo, hi) = positions.iter().fold((first, first), |(lo, hi), p| {
             ([lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])])
         });
-        Vector2::new(f64::from(lo[0]) + f64::from(hi[0]), f64::from(lo[1]) + f64::from(hi[1])) / 2.0
+        let [u, v] = [0, 1].map(|k| f64::from(hi[k] - (hi[k] - lo[k]) / 2));
+        Vector2::new(u, v)
     };
     template.charts.iter().map(middle).collect()
 }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, Buffer, BufferDescriptor, BufferUsages,
-    ErrorFilter, Limits,
+    ErrorFilter, Limits, PollType,
 };
 
 use super::adapter::{AdapterSelection, AdapterSummary, select};
@@ -57,17 +57,27 @@ impl Context {
 
     /// Fails if the device was lost or an error came up that no scope caught.
     pub(super) fn check(&self) -> Result<()> {
-        if let Some(reason) = self.signals.lost.get() {
+        if let Some(reason) = self.lost() {
             return Err(Error::DeviceLost { adapter: self.adapter.name.clone(), reason: reason.clone() });
         }
         let fault = self.signals.fault.lock().unwrap_or_else(PoisonError::into_inner).take();
         fault.map_or(Ok(()), |message| Err(self.fault("working", message)))
     }
 
+    /// Why the device was lost, if it was. Losing it makes other calls fail first or not at all; the callback that
+    /// tells comes with a poll.
+    fn lost(&self) -> Option<&String> {
+        if self.signals.lost.get().is_none() {
+            // Its failures are those of earlier submissions, which are reported where they are waited for.
+            let _ = self.device.poll(PollType::Poll);
+        }
+        self.signals.lost.get()
+    }
+
     /// An error of the graphics interface; a lost device if it has been lost.
     pub(super) fn fault(&self, what: &str, message: impl Into<String>) -> Error {
         let adapter = self.adapter.name.clone();
-        match self.signals.lost.get() {
+        match self.lost() {
             Some(reason) => Error::DeviceLost { adapter, reason: reason.clone() },
             None => Error::Gpu { adapter, what: what.into(), message: message.into() },
         }
