@@ -136,4 +136,26 @@ impl Error {
     ) -> Self {
         Self::Line { path: path.as_ref().to_owned(), line, problem: problem.into(), remedy: remedy.into() }
     }
+
+    /// Says in which field of which file the value behind an [`Error::Invalid`] stands; other errors stay.
+    #[must_use]
+    pub fn in_field(self, path: impl AsRef<Path>, field: impl Into<String>) -> Self {
+        match self {
+            Self::Invalid { what, problem, remedy } => {
+                Self::field(path, field, format!("{what}: {problem}"), remedy)
+            }
+            other => other,
+        }
+    }
+
+    /// Says on which line of which file the value behind an [`Error::Invalid`] stands; other errors stay.
+    #[must_use]
+    pub fn in_line(self, path: impl AsRef<Path>, line: u64) -> Self {
+        match self {
+            Self::Invalid { what, problem, remedy } => {
+                Self::line(path, line, format!("{what}: {problem}"), remedy)
+            }
+            other => other,
+        }
+    }
 }

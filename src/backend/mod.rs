@@ -12,11 +12,11 @@ use image::GrayImage;
 use nalgebra::Matrix3;
 
 use crate::error::{Error, Result};
-use crate::model::{LevelTemplate, Model};
+use crate::model::Model;
 
 pub use cpu::CpuBackend;
 #[cfg(feature = "gpu")]
-pub use gpu::GpuBackend;
+pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
 pub use sums::{Sums, SumsRow};
 
 /// A model loaded into a backend.
@@ -49,11 +49,11 @@ pub struct Request<'a> {
 }
 
 impl Request<'_> {
-    /// Checks the sizes against the level's template and the pyramid of the current frame.
+    /// Checks the sizes against the triangles and modes of the level and the pyramid of the current frame.
     ///
     /// # Errors
     /// [`Error::Invalid`] saying what does not fit.
-    pub fn check(&self, level: &LevelTemplate, frame_levels: usize) -> Result<()> {
+    pub fn check(&self, triangles: usize, modes: usize, frame_levels: usize) -> Result<()> {
         let refuse =
             |problem: String, remedy: &str| Err(Error::invalid("accumulate request", problem, remedy));
         if self.level >= frame_levels {
@@ -62,8 +62,8 @@ impl Request<'_> {
                 "call set_frame first",
             );
         }
-        let warps = self.items * level.charts.len();
-        let appearance = self.items * level.pixels.modes.len();
+        let warps = self.items * triangles;
+        let appearance = self.items * modes;
         if self.warps.len() != warps || self.appearance.len() != appearance {
             let problem = format!(
                 "{} warps and {} appearance parameters where {warps} and {appearance} are needed",

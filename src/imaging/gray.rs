@@ -18,6 +18,17 @@ pub fn read(path: &Path) -> Result<GrayImage> {
     Ok(decoded.into_luma8())
 }
 
+/// Width and height of an image file in pixels, from its header alone.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be read, [`Error::Image`] if it is not an image.
+pub fn dimensions(path: &Path) -> Result<(u32, u32)> {
+    let reader = image::ImageReader::open(path)
+        .and_then(image::ImageReader::with_guessed_format)
+        .map_err(|e| Error::io(path, e))?;
+    reader.into_dimensions().map_err(|source| Error::Image { path: path.to_owned(), source })
+}
+
 /// Reads an image and checks its size against the calibration.
 ///
 /// # Errors

@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::mesh::{Faces, TriangleMesh};
 
 /// Neighbouring triangles whose normals differ by more than this (50 degrees) belong to different faces.
@@ -44,6 +44,25 @@ impl Shape {
         #[expect(clippy::cast_precision_loss, reason = "vertex counts are far below 2^52")]
         let centre = Point3::from(sum / whole.vertices.len() as f64);
         Ok(Self { mesh: pieces, faces: Faces { of_triangle, ..faces }, corners, centre })
+    }
+
+    /// Checks a shape that comes from a file.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] if mesh, faces or centre do not fit together.
+    pub fn validate(&self) -> Result<()> {
+        self.mesh.validate()?;
+        let faces = &self.faces;
+        let numbered = faces.of_triangle.iter().all(|&f| (f as usize) < faces.borders.len());
+        let finite = self.corners.iter().chain([&self.centre]).all(|p| p.iter().all(|c| c.is_finite()));
+        if faces.of_triangle.len() != self.triangles() || !numbered || !finite {
+            return Err(Error::invalid(
+                "shape",
+                "faces and triangles do not fit together",
+                "train the model again",
+            ));
+        }
+        Ok(())
     }
 
     /// Number of triangles.

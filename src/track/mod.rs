@@ -81,6 +81,19 @@ impl Tracker {
         self.appearance.fill(0.0);
     }
 
+    /// Changes the camera of the following frames (zoom, another calibration per frame).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a camera that is none.
+    pub fn set_camera(&mut self, camera: Camera) -> Result<()> {
+        if camera != self.camera {
+            camera.validate()?;
+            self.rectifier = Rectifier::new(&camera);
+            self.camera = camera;
+        }
+        Ok(())
+    }
+
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model

@@ -1,6 +1,7 @@
 //! The CPU backend: runs everywhere, rayon over triangles and poses.
 
 pub mod accumulate;
+pub mod downsample;
 
 use image::GrayImage;
 use rayon::prelude::*;
@@ -45,9 +46,9 @@ impl Backend for CpuBackend {
             .get(request.model.0)
             .and_then(|levels| levels.get(request.level))
             .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
-        request.check(level, self.frame.len())?;
-        let image = self.frame.level(request.level);
         let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+        request.check(triangles, modes, self.frame.len())?;
+        let image = self.frame.level(request.level);
         sums.reset(request.items, triangles, modes);
         let row_len = Sums::row_len(modes);
         sums.data_mut().par_chunks_mut(row_len).with_min_len(16).enumerate().for_each(|(i, row)| {

@@ -1,4 +1,224 @@
-//! The wgpu backend.
-/// GPU.
+//! The wgpu backend: Vulkan, Metal or DX12, on real GPUs and on software adapters such as lavapipe.
+//!
+//! Per call one submit and one map. The stages are in `shaders/`; which piece of work goes where on which kind of
+//! adapter is decided by [`shaders::Partition`] and [`PyramidPlace`].
+
+mod adapter;
+mod batch;
+pub mod buffers;
+mod context;
+mod frame;
+mod halving;
+mod readback;
+pub mod shaders;
+
+use std::collections::BTreeMap;
+
+use image::GrayImage;
+use nalgebra::Matrix3;
+use wgpu::{BindGroupLayout, ComputePipeline};
+
+use super::{Backend, ModelId, Request, Sums, TriangleWarp};
+use crate::error::{Error, Result};
+use crate::model::{LevelTemplate, Model};
+use batch::{Batch, LoadedLevel, Target, max_items};
+use buffers::{DeviceLevel, small};
+use context::Context;
+use frame::Frame;
+use halving::Halver;
+use readback::Readback;
+use shaders::{ACCUMULATE, DOWNSAMPLE, Partition};
+
+pub use adapter::{AdapterSelection, AdapterSummary, adapters};
+
+/// Who builds the image pyramid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PyramidPlace {
+    /// The host for software adapters, the device for real ones.
+    #[default]
+    Auto,
+    /// The host.
+    Host,
+    /// The device.
+    Device,
+}
+
+/// How to use the adapter; the default is right for tracking.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct GpuOptions {
+    /// Who builds the image pyramid.
+    pub pyramid: PyramidPlace,
+    /// Cuts the work as for a real GPU (`Some(false)`) or a software adapter (`Some(true)`), whatever it is.
+    pub as_software: Option<bool>,
+    /// Largest buffer of one dispatch, bytes, if below the adapter's limit; larger batches are split.
+    pub max_dispatch_bytes: Option<u64>,
+}
+
+/// Does the image work on a graphics adapter.
 #[derive(Debug)]
-pub struct GpuBackend;
+pub struct GpuBackend {
+    context: Context,
+    options: GpuOptions,
+    partition: Partition,
+    /// Layouts of `accumulate`, group by group.
+    layouts: Vec<BindGroupLayout>,
+    /// `accumulate` by number of mode planes.
+    pipelines: BTreeMap<u32, ComputePipeline>,
+    downsample: Option<ComputePipeline>,
+    models: Vec<Vec<LoadedLevel>>,
+    frame: Option<Frame>,
+    batch: Batch,
+    readback: Readback,
+}
+
+impl GpuBackend {
+    /// Opens an adapter.
+    ///
+    /// # Errors
+    /// [`Error::NoAdapter`] if there is none like that, [`Error::Gpu`] if it cannot be opened.
+    pub fn open(selection: &AdapterSelection) -> Result<Self> {
+        Self::open_with(selection, GpuOptions::default())
+    }
+
+    /// Opens an adapter to be used in a particular way.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_with(selection: &AdapterSelection, options: GpuOptions) -> Result<Self> {
+        let context = Context::open(selection)?;
+        let is_software = context.adapter.is_software;
+        let partition = Partition::of_adapter(options.as_software.unwrap_or(is_software));
+        let on_device = match options.pyramid {
+            PyramidPlace::Auto => !is_software,
+            PyramidPlace::Host => false,
+            PyramidPlace::Device => true,
+        };
+        let layouts = context.scoped("opening", || ACCUMULATE.layouts(&context))?;
+        let downsample = if on_device {
+            let layouts = context.scoped("opening", || DOWNSAMPLE.layouts(&context))?;
+            Some(DOWNSAMPLE.pipeline(&context, &layouts, 0, partition.workgroup)?)
+        } else {
+            None
+        };
+        Ok(Self {
+            context,
+            options,
+            partition,
+            layouts,
+            pipelines: BTreeMap::new(),
+            downsample,
+            models: Vec::new(),
+            frame: None,
+            batch: Batch::default(),
+            readback: Readback::default(),
+        })
+    }
+
+    /// The adapter in use.
+    pub fn adapter(&self) -> &AdapterSummary {
+        &self.context.adapter
+    }
+
+    /// Reads a pyramid level of the current frame back, for tests and pictures.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] without such a level, [`Error::DeviceLost`] or [`Error::Gpu`] if the device fails.
+    pub fn read_level(&mut self, level: usize) -> Result<GrayImage> {
+        let frame = self.frame.as_ref().filter(|frame| level < frame.len()).ok_or_else(|| {
+            Error::invalid("pyramid level", format!("there is no level {level}"), "call set_frame first")
+        })?;
+        frame.read(&self.context, &mut self.readback, level)
+    }
+
+    /// Gives the device back. Everything after that is [`Error::DeviceLost`], as after a driver reset.
+    pub fn destroy(&self) {
+        self.context.device.destroy();
+    }
+
+    fn new_frame(&self, size: (u32, u32), levels: usize) -> Result<Frame> {
+        let halver = |pipeline| Halver::new(&self.context, pipeline, self.partition, size, levels);
+        let halver = self.downsample.as_ref().map(halver).transpose()?;
+        Frame::new(&self.context, &self.layouts[2], size, levels, halver)
+    }
+
+    /// Uploads a level; true if its pipeline has not run yet.
+    fn load_level(&mut self, template: &LevelTemplate) -> Result<(LoadedLevel, bool)> {
+        let context = &self.context;
+        let level = DeviceLevel::upload(context, template, self.partition.chunk_pixels)?;
+        let planes = small(level.modes.div_ceil(4));
+        let is_new = !self.pipelines.contains_key(&planes);
+        if is_new {
+            let workgroup = self.partition.accumulate_workgroup(planes);
+            let pipeline = ACCUMULATE.pipeline(context, &self.layouts, planes, workgroup)?;
+            self.pipelines.insert(planes, pipeline);
+        }
+        let pipeline = self.pipelines[&planes].clone();
+        let limit = self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(context.max_bytes());
+        let max_items = max_items(context, &level, limit)?;
+        let bind_group = context.scoped("binding the template", || {
+            context.bind(ACCUMULATE.name, &self.layouts[0], level.buffers.each_ref())
+        })?;
+        Ok((LoadedLevel { level, bind_group, pipeline, max_items }, is_new))
+    }
+
+    /// Runs a level once without active triangles: drivers compile at the first dispatch, which takes up to seconds.
+    fn warm_up(&mut self, level: &LoadedLevel) -> Result<()> {
+        let mut frame = self.new_frame((16, 16), 2)?;
+        frame.upload(&self.context, &GrayImage::new(16, 16))?;
+        let idle = TriangleWarp { image_from_chart: Matrix3::zeros(), active: false };
+        let (warps, appearance) = (vec![idle; level.level.centres.len()], vec![0.0; level.level.modes]);
+        let model = ModelId(self.models.len());
+        let request = Request { model, level: 0, items: 1, warps: &warps, appearance: &appearance };
+        let target =
+            Target { context: &self.context, layout: &self.layouts[1], level, image: frame.bind_group(0) };
+        self.batch.run(target, &mut self.readback, &request, &mut Sums::default())
+    }
+}
+
+impl Backend for GpuBackend {
+    fn name(&self) -> String {
+        self.context.adapter.name.clone()
+    }
+
+    fn load(&mut self, model: &Model) -> Result<ModelId> {
+        let mut levels = Vec::with_capacity(model.levels.len());
+        for template in &model.levels {
+            let (level, is_new) = self.load_level(template)?;
+            if is_new {
+                self.warm_up(&level)?;
+            }
+            levels.push(level);
+        }
+        self.models.push(levels);
+        Ok(ModelId(self.models.len() - 1))
+    }
+
+    fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()> {
+        self.context.check()?;
+        let size = image.dimensions();
+        let frame = match self.frame.take().filter(|frame| frame.fits(size, levels)) {
+            Some(frame) => frame,
+            None => self.new_frame(size, levels)?,
+        };
+        self.frame.insert(frame).upload(&self.context, image)
+    }
+
+    fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()> {
+        self.context.check()?;
+        let level = self
+            .models
+            .get(request.model.0)
+            .and_then(|levels| levels.get(request.level))
+            .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
+        let frame_levels = self.frame.as_ref().map_or(0, Frame::len);
+        request.check(level.level.centres.len(), level.level.modes, frame_levels)?;
+        let Some(frame) = &self.frame else { return Ok(()) };
+        let target = Target {
+            context: &self.context,
+            layout: &self.layouts[1],
+            level,
+            image: frame.bind_group(request.level),
+        };
+        self.batch.run(target, &mut self.readback, request, sums)
+    }
+}

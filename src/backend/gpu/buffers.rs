@@ -1,0 +1,193 @@
+//! What is stored on the device: the structs of `shaders/common.wgsl` and the pixels of a template.
+
+use bytemuck::{Pod, Zeroable};
+use nalgebra::{Vector2, Vector3};
+use wgpu::BufferUsages;
+
+use super::context::Context;
+use crate::backend::TriangleWarp;
+use crate::error::Result;
+use crate::model::{LevelTemplate, Pixels};
+
+/// One level of a template; `Level` in `shaders/common.wgsl`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Level {
+    /// Number of chart pixels.
+    pub pixels: u32,
+    /// Number of chunks.
+    pub chunks: u32,
+    /// Number of triangles.
+    pub triangles: u32,
+    /// Padding.
+    pub unused: u32,
+}
+
+/// A run of pixels of one triangle; `Chunk` in `shaders/common.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Chunk {
+    /// First pixel.
+    pub start: u32,
+    /// One past the last pixel.
+    pub end: u32,
+    /// The triangle all of them belong to.
+    pub triangle: u32,
+    /// Padding.
+    pub unused: u32,
+}
+
+/// The warp of one triangle; `Warp` in `shaders/common.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Warp {
+    /// First row of the homography, base u.
+    pub row_u: [f32; 4],
+    /// Second row of the homography, base v.
+    pub row_v: [f32; 4],
+    /// Third row of the homography, 1 if active.
+    pub row_w: [f32; 4],
+}
+
+impl Warp {
+    /// The warp from positions relative to the chart's `centre`, minus an integer base pixel near the warped centre.
+    /// Both shifts are made in f64, so that f32 holds only distances within the chart.
+    pub fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
+        /// Largest base, pixels: f32 holds it and its neighbours exactly.
+        const LIMIT: f64 = 4_194_304.0;
+        if !warp.active {
+            return Self::zeroed();
+        }
+        let mut h = warp.image_from_chart;
+        let at = h * Vector3::new(centre.x, centre.y, 1.0);
+        h.set_column(2, &at);
+        let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
+        let base = [near(at.x), near(at.y), 0.0];
+        let row = |i: usize, last: f64| {
+            let [a, b, c] = [0, 1, 2].map(|j| h[(i, j)] - base[i] * h[(2, j)]);
+            #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
+            [a, b, c, last].map(|x| x as f32)
+        };
+        Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0) }
+    }
+}
+
+/// One step of the pyramid; `Halving` in `shaders/common.wgsl`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Halving {
+    /// Words per row of the larger image.
+    pub stride_in: u32,
+    /// Words per row of the smaller image.
+    pub stride_out: u32,
+    /// Words of a row of the smaller image that hold pixels.
+    pub words: u32,
+    /// Rows of the smaller image.
+    pub rows: u32,
+}
+
+/// One level of a template on the device.
+#[derive(Debug)]
+pub(super) struct DeviceLevel {
+    /// The chunk table, also needed to add up what comes back.
+    pub(super) chunks: Vec<Chunk>,
+    /// A pixel in the middle of every chart; positions on the device are relative to it.
+    pub(super) centres: Vec<Vector2<f64>>,
+    /// Number of modes l.
+    pub(super) modes: usize,
+    /// The bindings of group 0 of `accumulate`, in their order.
+    pub(super) buffers: [wgpu::Buffer; 5],
+}
+
+impl DeviceLevel {
+    /// Uploads a level.
+    pub(super) fn upload(context: &Context, template: &LevelTemplate, chunk_pixels: u32) -> Result<Self> {
+        let pixels = &template.pixels;
+        let (chunks, centres) = (chunks(template, chunk_pixels), centres(template));
+        let level = Level {
+            pixels: small(pixels.len()),
+            chunks: small(chunks.len()),
+            triangles: small(template.charts.len()),
+            unused: 0,
+        };
+        let contents: [(&str, Vec<u8>); 5] = [
+            ("level", bytemuck::bytes_of(&level).to_vec()),
+            ("chunks", bytemuck::cast_slice(&chunks).to_vec()),
+            ("positions", bytemuck::cast_slice(&positions(template, &centres)).to_vec()),
+            ("texels", bytemuck::cast_slice(&texels(pixels)).to_vec()),
+            ("modes", bytemuck::cast_slice(&mode_planes(pixels)).to_vec()),
+        ];
+        for (label, bytes) in &contents {
+            context.require(&format!("template buffer {label} (bytes)"), bytes.len() as u64)?;
+        }
+        let buffers = context.scoped("uploading the template", || {
+            contents.map(|(label, bytes)| {
+                let usage = if label == "level" { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
+                let buffer = context.buffer(label, bytes.len() as u64, usage);
+                context.queue.write_buffer(&buffer, 0, &bytes);
+                buffer
+            })
+        })?;
+        Ok(Self { chunks, centres, modes: pixels.modes.len(), buffers })
+    }
+}
+
+/// Cuts every chart into chunks of at most `limit` pixels.
+pub fn chunks(template: &LevelTemplate, limit: u32) -> Vec<Chunk> {
+    let of_chart = |(t, chart): (u32, &crate::model::Chart)| {
+        let end = chart.end;
+        let starts = (chart.start..end).step_by(limit as usize);
+        starts.map(move |start| Chunk {
+            start,
+            end: start.saturating_add(limit).min(end),
+            triangle: t,
+            unused: 0,
+        })
+    };
+    (0..).zip(&template.charts).flat_map(of_chart).collect()
+}
+
+/// A size that fits u32 because the buffer it belongs to is checked against the device's limits.
+pub(super) fn small(n: usize) -> u32 {
+    u32::try_from(n).unwrap_or(u32::MAX)
+}
+
+/// Two 16-bit integers per pixel, relative to the chart's centre.
+fn positions(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<u32> {
+    let mut packed = vec![0; template.pixels.len()];
+    for (chart, centre) in template.charts.iter().zip(centres) {
+        for (word, position) in packed[chart.range()].iter_mut().zip(&template.pixels.position[chart.range()])
+        {
+            let shifted = [f64::from(position[0]) - centre.x, f64::from(position[1]) - centre.y];
+            #[expect(clippy::cast_possible_truncation, reason = "the centre is in the middle of a u16 range")]
+            let [u, v] = shifted.map(|x| u32::from((x as i16).cast_unsigned()));
+            *word = u | v << 16;
+        }
+    }
+    packed
+}
+
+fn texels(pixels: &Pixels) -> Vec<[f32; 4]> {
+    let columns = pixels.gradient.iter().zip(&pixels.intensity).zip(&pixels.weight);
+    columns.map(|((&[gu, gv], &intensity), &weight)| [gu, gv, intensity, weight]).collect()
+}
+
+/// Four modes to a plane; missing modes are zero.
+fn mode_planes(pixels: &Pixels) -> Vec<[f32; 4]> {
+    let plane =
+        |four: &'_ [Vec<f32>], p: usize| std::array::from_fn(|k| four.get(k).map_or(0.0, |mode| mode[p]));
+    pixels.modes.chunks(4).flat_map(|four| (0..pixels.len()).map(move |p| plane(four, p))).collect()
+}
+
+fn centres(template: &LevelTemplate) -> Vec<Vector2<f64>> {
+    let middle = |chart: &crate::model::Chart| {
+        let positions = &template.pixels.position[chart.range()];
+        let first = positions.first().copied().unwrap_or_default();
+        let (lo, hi) = positions.iter().fold((first, first), |(lo, hi), p| {
+            ([lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])])
+        });
+        let [u, v] = [0, 1].map(|k| f64::from(hi[k] - (hi[k] - lo[k]) / 2));
+        Vector2::new(u, v)
+    };
+    template.charts.iter().map(middle).collect()
+}

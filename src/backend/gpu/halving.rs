@@ -1,0 +1,104 @@
+//! The pyramid built by the device: the `downsample` stage from packed rows to packed rows.
+
+use image::GrayImage;
+use wgpu::{BindGroup, Buffer, BufferUsages, CommandEncoder, ComputePipeline};
+
+use super::buffers::Halving;
+use super::context::Context;
+use super::frame::{ROW_ALIGNMENT, level_size};
+use super::shaders::{DOWNSAMPLE, Partition};
+use crate::error::Result;
+
+/// Packed images of all levels and the steps between them.
+#[derive(Debug)]
+pub(super) struct Halver {
+    pipeline: ComputePipeline,
+    workgroup: u32,
+    images: Vec<Packed>,
+    steps: Vec<(Halving, BindGroup)>,
+    /// The full-size image with padded rows.
+    scratch: Vec<u8>,
+}
+
+/// An image in a buffer, one byte per pixel, rows padded for copies to textures.
+#[derive(Debug)]
+struct Packed {
+    buffer: Buffer,
+    stride: u32,
+}
+
+impl Halver {
+    /// Buffers for images of this size.
+    pub(super) fn new(
+        context: &Context,
+        pipeline: &ComputePipeline,
+        partition: Partition,
+        size: (u32, u32),
+        levels: usize,
+    ) -> Result<Self> {
+        let padded = u64::from(size.0.next_multiple_of(ROW_ALIGNMENT)) * u64::from(size.1);
+        context.require("frame (bytes)", padded)?;
+        let layout = pipeline.get_bind_group_layout(0);
+        let (images, steps) = context.scoped("creating the pyramid", || {
+            let packed = |k: usize| Packed::new(context, level_size(size, k));
+            let images: Vec<_> = (0..levels.max(1)).map(packed).collect();
+            let step = |(k, pair): (usize, &[Packed])| {
+                let (words, rows) = level_size(size, k + 1);
+                let constants = Halving {
+                    stride_in: pair[0].stride / 4,
+                    stride_out: pair[1].stride / 4,
+                    words: words.div_ceil(4),
+                    rows,
+                };
+                let uniform = context.buffer("halving", size_of::<Halving>() as u64, BufferUsages::UNIFORM);
+                context.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&constants));
+                let buffers = [&uniform, &pair[0].buffer, &pair[1].buffer];
+                (constants, context.bind(DOWNSAMPLE.name, &layout, buffers))
+            };
+            let steps = images.windows(2).enumerate().map(step).collect();
+            (images, steps)
+        })?;
+        let workgroup = partition.workgroup;
+        Ok(Self { pipeline: pipeline.clone(), workgroup, images, steps, scratch: Vec::new() })
+    }
+
+    /// Puts the full-size image into its buffer.
+    pub(super) fn upload(&mut self, context: &Context, image: &GrayImage) {
+        let (Packed { buffer, stride, .. }, width) = (&self.images[0], image.width() as usize);
+        if image.as_raw().is_empty() {
+            return;
+        }
+        self.scratch.resize(*stride as usize * image.height() as usize, 0);
+        let rows = self.scratch.chunks_exact_mut(*stride as usize).zip(image.as_raw().chunks_exact(width));
+        for (padded, row) in rows {
+            padded[..width].copy_from_slice(row);
+        }
+        context.queue.write_buffer(buffer, 0, &self.scratch);
+    }
+
+    /// Computes all smaller levels.
+    pub(super) fn encode(&self, encoder: &mut CommandEncoder) {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&self.pipeline);
+        for (halving, bind_group) in &self.steps {
+            pass.set_bind_group(0, bind_group, &[]);
+            if halving.words * halving.rows > 0 {
+                pass.dispatch_workgroups(halving.words.div_ceil(self.workgroup), halving.rows, 1);
+            }
+        }
+    }
+
+    /// Buffer and bytes per row of every level.
+    pub(super) fn packed(&self) -> impl Iterator<Item = (&Buffer, u32)> {
+        self.images.iter().map(|image| (&image.buffer, image.stride))
+    }
+}
+
+impl Packed {
+    fn new(context: &Context, (width, height): (u32, u32)) -> Self {
+        let stride = width.next_multiple_of(ROW_ALIGNMENT);
+        let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+        let buffer = context.buffer("packed image", u64::from(stride) * u64::from(height), usage);
+        Self { buffer, stride }
+    }
+}

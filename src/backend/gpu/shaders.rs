@@ -1,0 +1,176 @@
+//! The stages as the device sees them: source text, bindings, pipelines.
+
+use wgpu::{
+    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BufferBindingType,
+    ComputePipeline, ComputePipelineDescriptor, PipelineCompilationOptions, PipelineLayoutDescriptor,
+    SamplerBindingType, ShaderModuleDescriptor, ShaderSource, ShaderStages, TextureSampleType,
+    TextureViewDimension,
+};
+
+use super::context::Context;
+use crate::error::Result;
+
+/// Memory of a workgroup every WebGPU device has, bytes.
+pub const WORKGROUP_BYTES: u32 = 16384;
+
+/// Workgroup sizes are multiples of this: `REDUCE` in `shaders/common.wgsl`.
+pub const REDUCE: u32 = 8;
+
+/// What a binding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A struct of constants.
+    Uniform,
+    /// A buffer that is read.
+    Read,
+    /// A buffer that is written.
+    Write,
+    /// A grey image.
+    Image,
+    /// A sampler; it only gathers.
+    Sampler,
+}
+
+/// A stage: shader file, entry point, pipeline label and twin have its name.
+#[derive(Debug, Clone, Copy)]
+pub struct Stage {
+    /// The one name.
+    pub name: &'static str,
+    source: &'static str,
+    /// Names and kinds of the bindings, group by group.
+    pub groups: &'static [&'static [(&'static str, Kind)]],
+}
+
+/// Image level k to k+1.
+pub const DOWNSAMPLE: Stage = Stage {
+    name: "downsample",
+    source: concat!(
+        include_str!("../../../shaders/common.wgsl"),
+        include_str!("../../../shaders/downsample.wgsl")
+    ),
+    groups: &[&[("halving", Kind::Uniform), ("larger", Kind::Read), ("smaller", Kind::Write)]],
+};
+
+/// Warp, sample, residual, weight, sums.
+pub const ACCUMULATE: Stage = Stage {
+    name: "accumulate",
+    source: concat!(
+        include_str!("../../../shaders/common.wgsl"),
+        include_str!("../../../shaders/accumulate.wgsl")
+    ),
+    groups: &[
+        &[
+            ("level", Kind::Uniform),
+            ("chunks", Kind::Read),
+            ("positions", Kind::Read),
+            ("texels", Kind::Read),
+            ("modes", Kind::Read),
+        ],
+        &[("warps", Kind::Read), ("appearance", Kind::Read), ("sums", Kind::Write)],
+        &[("image", Kind::Image), ("image_sampler", Kind::Sampler)],
+    ],
+};
+
+impl Stage {
+    /// The shader for `mode_planes` planes of four modes. The count is part of the text and not a pipeline constant
+    /// because local arrays have it as their length.
+    pub fn text(&self, mode_planes: u32) -> String {
+        format!("const MODE_PLANES: u32 = {mode_planes}u;\n{}", self.source)
+    }
+
+    /// The layouts of its bind groups.
+    pub(super) fn layouts(&self, context: &Context) -> Vec<BindGroupLayout> {
+        let layout = |bindings: &&[(&str, Kind)]| {
+            let entries: Vec<_> = (0..).zip(*bindings).map(|(i, &(_, kind))| entry(i, kind)).collect();
+            context.device.create_bind_group_layout(&BindGroupLayoutDescriptor {
+                label: Some(self.name),
+                entries: &entries,
+            })
+        };
+        self.groups.iter().map(layout).collect()
+    }
+
+    /// Compiles it for a workgroup size.
+    pub(super) fn pipeline(
+        &self,
+        context: &Context,
+        layouts: &[BindGroupLayout],
+        mode_planes: u32,
+        workgroup: u32,
+    ) -> Result<ComputePipeline> {
+        let groups: Vec<_> = layouts.iter().map(Some).collect();
+        context.scoped(&format!("compiling {}", self.name), || {
+            let module = context.device.create_shader_module(ShaderModuleDescriptor {
+                label: Some(self.name),
+                source: ShaderSource::Wgsl(self.text(mode_planes).into()),
+            });
+            let layout = context.device.create_pipeline_layout(&PipelineLayoutDescriptor {
+                label: Some(self.name),
+                bind_group_layouts: &groups,
+                immediate_size: 0,
+            });
+            context.device.create_compute_pipeline(&ComputePipelineDescriptor {
+                label: Some(self.name),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some(self.name),
+                compilation_options: PipelineCompilationOptions {
+                    constants: &[("WORKGROUP", f64::from(workgroup))],
+                    // Every value is written before it is read.
+                    zero_initialize_workgroup_memory: false,
+                },
+                cache: None,
+            })
+        })
+    }
+}
+
+/// How work is cut into pieces on a kind of adapter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Partition {
+    /// Invocations per workgroup.
+    pub workgroup: u32,
+    /// Largest number of pixels per workgroup.
+    pub chunk_pixels: u32,
+}
+
+impl Partition {
+    /// Software adapters want the SIMD width and long loops, real ones many invocations.
+    pub const fn of_adapter(is_software: bool) -> Self {
+        if is_software {
+            Self { workgroup: 8, chunk_pixels: 512 }
+        } else {
+            Self { workgroup: 128, chunk_pixels: 512 }
+        }
+    }
+
+    /// Workgroup size of `accumulate`: smaller where the sums of that many modes would not fit.
+    pub const fn accumulate_workgroup(self, mode_planes: u32) -> u32 {
+        let mut workgroup = self.workgroup;
+        while workgroup > REDUCE && workgroup * sum_planes(mode_planes) * 16 > WORKGROUP_BYTES {
+            workgroup /= 2;
+        }
+        workgroup
+    }
+}
+
+/// Planes of four sums per chunk: `SUM_PLANES` in `shaders/accumulate.wgsl`.
+pub const fn sum_planes(mode_planes: u32) -> u32 {
+    3 + mode_planes
+}
+
+fn entry(binding: u32, kind: Kind) -> BindGroupLayoutEntry {
+    let buffer = |ty| BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None };
+    let ty = match kind {
+        Kind::Uniform => buffer(BufferBindingType::Uniform),
+        Kind::Read => buffer(BufferBindingType::Storage { read_only: true }),
+        Kind::Write => buffer(BufferBindingType::Storage { read_only: false }),
+        Kind::Image => BindingType::Texture {
+            sample_type: TextureSampleType::Float { filterable: true },
+            view_dimension: TextureViewDimension::D2,
+            multisampled: false,
+        },
+        Kind::Sampler => BindingType::Sampler(SamplerBindingType::Filtering),
+    };
+    BindGroupLayoutEntry { binding, visibility: ShaderStages::COMPUTE, ty, count: None }
+}

@@ -1,0 +1,69 @@
+//! Frames of a scene, and the poses that belong to them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use image::GrayImage;
+
+use crate::dataset::{Dataset, FrameInfo, PoseSource, Scene};
+use crate::geometry::Pose;
+use crate::imaging::{Rectifier, gray};
+use crate::train::TrainingImage;
+
+/// The dataset and scene of a command.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct SceneArgs {
+    /// Dataset in BOP layout
+    pub(super) dataset: PathBuf,
+    /// Scene number
+    #[arg(long, value_name = "S")]
+    pub(super) scene: u32,
+}
+
+impl SceneArgs {
+    pub(super) fn open(&self) -> anyhow::Result<(Dataset, Scene)> {
+        open(&self.dataset, self.scene)
+    }
+}
+
+pub(super) fn open(dataset: &Path, scene: u32) -> anyhow::Result<(Dataset, Scene)> {
+    let dataset = Dataset::open(dataset)?;
+    let scene = dataset.scene(scene)?;
+    anyhow::ensure!(!scene.frames.is_empty(), "{}: the scene has no frames", scene.folder.display());
+    Ok((dataset, scene))
+}
+
+/// Reads the image of a frame and checks its size.
+pub(super) fn read(frame: &FrameInfo) -> anyhow::Result<GrayImage> {
+    Ok(gray::read_sized(&frame.image, frame.camera.width, frame.camera.height)?)
+}
+
+/// The pose of a frame, or an error that says what is missing.
+pub(super) fn pose_of(poses: &BTreeMap<u32, Pose>, frame: u32, source: &PoseSource) -> anyhow::Result<Pose> {
+    poses.get(&frame).copied().with_context(|| {
+        format!("{source:?} has no pose for frame {frame}; choose another frame or give the poses with gt, ref or a file")
+    })
+}
+
+/// Rectified training images of the given frames with their poses.
+pub(super) fn training_images(
+    scene: &Scene,
+    poses: &BTreeMap<u32, Pose>,
+    source: &PoseSource,
+    frames: &[u32],
+) -> anyhow::Result<Vec<TrainingImage>> {
+    let image = |id: &u32| {
+        let frame = scene.frames.iter().find(|f| f.id == *id).with_context(|| {
+            let (first, last) = (scene.frames[0].id, scene.frames[scene.frames.len() - 1].id);
+            format!("scene {} has no frame {id}; its frames go from {first} to {last}", scene.id)
+        })?;
+        let rectified = Rectifier::new(&frame.camera).rectify(read(frame)?);
+        Ok(TrainingImage {
+            image: rectified,
+            camera: frame.camera.rectified(),
+            camera_from_object: pose_of(poses, *id, source)?,
+        })
+    };
+    frames.iter().map(image).collect()
+}

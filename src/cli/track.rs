@@ -1,0 +1,170 @@
+//! `aam6d track`: an object through a scene.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde::Serialize;
+
+use super::backend::BackendArgs;
+use super::frames::{self, SceneArgs, pose_of};
+use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
+use super::summary::JsonArg;
+use super::{overlay, progress};
+use crate::align::InverseCompositional;
+use crate::dataset::{PoseSource, Scene};
+use crate::eval::Estimate;
+use crate::eval::statistics::{median, percentile};
+use crate::model::Model;
+use crate::track::{Status, Tracker};
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Model file of `aam6d train`
+    model: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Where the pose of the first frame comes from: scene_gt.json, scene_ref.json, or a file
+    #[arg(long, value_name = "gt|ref|FILE", default_value = "gt")]
+    init: PoseSource,
+    /// Results file to write (BOP CSV; score 0 means lost)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Also write everything known about each frame (JSON lines)
+    #[arg(long, value_name = "FILE")]
+    details: Option<PathBuf>,
+    /// Also write the poses as a TUM trajectory, frame numbers as time stamps, lost frames left out
+    #[arg(long, value_name = "FILE")]
+    tum: Option<PathBuf>,
+    /// Also write pictures of the estimated pose
+    #[arg(long, value_name = "DIR")]
+    overlay: Option<PathBuf>,
+    #[command(flatten)]
+    backend: BackendArgs,
+    #[command(flatten)]
+    json: JsonArg,
+}
+
+/// What is written while a scene is tracked.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outputs<'a> {
+    pub(super) results: &'a Path,
+    pub(super) details: Option<&'a Path>,
+    pub(super) overlay: Option<&'a Path>,
+    /// Every how many frames a picture is written.
+    pub(super) overlay_every: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct Summary {
+    frames: usize,
+    tracked: usize,
+    lost: usize,
+    lost_frames: Vec<u32>,
+    ms_per_frame: Times,
+    iterations_mean: Option<f64>,
+    backend: String,
+    results: PathBuf,
+}
+
+#[derive(Debug, Serialize)]
+struct Times {
+    median: Option<f64>,
+    p95: Option<f64>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    let model = Model::load(&args.model)?;
+    let (dataset, scene) = args.scene.open()?;
+    let poses = dataset.poses(scene.id, model.object_id, &args.init)?;
+    let opened = args.backend.open()?;
+    let first = &scene.frames[0];
+    let mut tracker =
+        Tracker::new(model, first.camera, opened.backend, Box::new(InverseCompositional::default()))?;
+    tracker.start_at(pose_of(&poses, first.id, &args.init)?);
+    let outputs = Outputs {
+        results: &args.out,
+        details: args.details.as_deref(),
+        overlay: args.overlay.as_deref(),
+        overlay_every: 1,
+    };
+    let estimates = track_scene(&mut tracker, &scene, &outputs)?;
+    if let Some(path) = &args.tum {
+        write_trajectory(path, &estimates)?;
+    }
+    let summary = summarise(&estimates, tracker.backend_name(), args.out.clone());
+    let times = [summary.ms_per_frame.median, summary.ms_per_frame.p95].map(|t| t.unwrap_or(0.0));
+    let text = format!(
+        "{}: {} of {} frames tracked, {} lost {:?}\nbackend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
+        args.out.display(),
+        summary.tracked,
+        summary.frames,
+        summary.lost,
+        summary.lost_frames,
+        summary.backend,
+        opened.why,
+        times[0],
+        times[1],
+    );
+    args.json.write(&text, &summary)
+}
+
+/// Tracks all frames of a scene and writes the results as they come.
+pub(super) fn track_scene(
+    tracker: &mut Tracker,
+    scene: &Scene,
+    outputs: &Outputs<'_>,
+) -> anyhow::Result<Vec<Estimate>> {
+    let mut results = ResultsFile::create(outputs.results)?;
+    let mut details = outputs.details.map(DetailsFile::create).transpose()?;
+    let bar = progress::frames(scene.frames.len(), "tracking");
+    let mut estimates = Vec::with_capacity(scene.frames.len());
+    let object = tracker.model().object_id;
+    for (k, frame) in scene.frames.iter().enumerate() {
+        let so_far = || format!("{k} finished frames are in {}.partial", outputs.results.display());
+        let image = frames::read(frame).with_context(so_far)?;
+        tracker.set_camera(frame.camera)?;
+        let tracked = tracker.track(&image).with_context(so_far)?;
+        let row = row(scene.id, frame.id, object, &tracked.estimate, tracked.time_ms);
+        results.write(&row)?;
+        if let Some(details) = &mut details {
+            details.write(&FrameRecord::new(tracker.model(), scene.id, frame.id, &tracked))?;
+        }
+        if let Some(folder) = outputs.overlay.filter(|_| k % outputs.overlay_every == 0) {
+            let path = folder.join(format!("{:06}.png", frame.id));
+            overlay::write(&path, &image, &frame.camera, &row.pose, &tracker.model().shape, tracked.status)?;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "iteration counts are small")]
+        let iterations = Some(tracked.estimate.iterations as f64);
+        let score = if tracked.status == Status::Lost { 0.0 } else { row.score };
+        estimates.push(Estimate { frame: frame.id, pose: row.pose, score, time_s: row.time_s, iterations });
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    results.finish()?;
+    details.map_or(Ok(()), DetailsFile::finish)?;
+    Ok(estimates)
+}
+
+fn write_trajectory(path: &Path, estimates: &[Estimate]) -> anyhow::Result<()> {
+    let tracked = estimates.iter().filter(|e| e.score > 0.0);
+    let poses =
+        tracked.map(|e| crate::dataset::StampedPose { time_s: f64::from(e.frame), pose: e.pose }).collect();
+    Ok(crate::dataset::Trajectory { poses }.write(path)?)
+}
+
+fn summarise(estimates: &[Estimate], backend: String, results: PathBuf) -> Summary {
+    let lost_frames: Vec<u32> = estimates.iter().filter(|e| e.score <= 0.0).map(|e| e.frame).collect();
+    let times: Vec<f64> = estimates.iter().filter_map(|e| e.time_s).map(|t| t * 1e3).collect();
+    #[expect(clippy::cast_precision_loss, reason = "frame counts are small")]
+    let mean = |sum: f64| (!estimates.is_empty()).then(|| sum / estimates.len() as f64);
+    Summary {
+        frames: estimates.len(),
+        tracked: estimates.len() - lost_frames.len(),
+        lost: lost_frames.len(),
+        lost_frames,
+        ms_per_frame: Times { median: median(&times), p95: percentile(&times, 95.0) },
+        iterations_mean: mean(estimates.iter().filter_map(|e| e.iterations).sum()),
+        backend,
+        results,
+    }
+}

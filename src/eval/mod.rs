@@ -1,0 +1,15 @@
+//! Judges poses, of this tracker or any other: errors against known poses, their statistics, a report.
+//!
+//! Errors are in millimetres, degrees and pixels, and their names say which. The axes are those of the camera:
+//! x right, y down, z along the view.
+
+pub mod errors;
+pub mod frames;
+pub mod report;
+pub mod statistics;
+mod table;
+
+pub use errors::EvalObject;
+pub use frames::{Estimate, FrameErrors};
+pub use report::{Evaluation, evaluate};
+pub use statistics::ErrorStatistics;

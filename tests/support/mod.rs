@@ -1,0 +1,9 @@
+//! What the tests of the stages share.
+
+#![allow(dead_code, unused_imports, reason = "every test program uses its own part")]
+
+pub(crate) mod gpu;
+pub(crate) mod scene;
+pub(crate) mod sums;
+
+pub(crate) use scene::{Scene, image};
