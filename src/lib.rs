@@ -1,4 +1,4 @@
-//! Tracks the 6-DoF pose of a known, textured, rigid object in calibrated video.
+#![doc = include_str!("../README.md")]
 
 pub mod align;
 pub mod backend;
