@@ -31,7 +31,7 @@ pub(super) struct State {
 pub(super) enum Stop {
     /// The proposed step was below the threshold.
     Converged,
-    /// The iteration limit was reached.
+    /// The iteration limit or the largest damping was reached.
     Exhausted,
     /// The equations could not be solved: too little of the object is visible.
     Singular,
@@ -120,7 +120,7 @@ impl Descent {
         } else {
             self.damping *= 10.0;
             if self.damping > MAX_DAMPING {
-                self.stop = Some(Stop::Converged);
+                self.stop = Some(Stop::Exhausted);
             }
         }
     }

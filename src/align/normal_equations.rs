@@ -9,7 +9,8 @@ use crate::geometry::{Camera, Pose};
 use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
 use crate::model::{ChartGeometry, LevelTemplate};
 
-/// Triangles whose area shrinks below this share of the chart's are back-facing or edge-on.
+/// Triangles are back-facing or edge-on where det A falls below this share of its value |A|^2 / 2 for a warp that
+/// only turns and scales; relative, so that a distant object keeps its triangles.
 const MIN_DETERMINANT: f64 = 0.02;
 
 /// What stays the same while a level is aligned.
@@ -69,7 +70,7 @@ fn corner_motion(
         *p = problem.camera.project(&pose.transform_point(x))?;
     }
     let a: Matrix2<f64> = affine(&g.corners, &projected)?.fixed_view::<2, 2>(0, 0).into_owned();
-    if a.determinant() < MIN_DETERMINANT {
+    if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
         return None;
     }
     let inverse = a.try_inverse()?;

@@ -15,7 +15,7 @@ use super::summary::JsonArg;
 use crate::align::{InverseCompositional, Start};
 use crate::dataset::{ResultRow, Scene, results};
 use crate::model::Model;
-use crate::track::Tracker;
+use crate::track::{Status, Tracker};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -129,7 +129,8 @@ fn align_all(
         let time_ms = began.elapsed().as_secs_f64() * 1e3;
         for (&k, estimate) in members.iter().zip(&estimates) {
             iterations += estimate.iterations;
-            rows[k] = Some(row(scene.id, frame.id, starts[k].obj_id, estimate, time_ms));
+            let status = if estimate.score.is_lost() { Status::Lost } else { Status::Tracking };
+            rows[k] = Some(row((scene.id, frame.id, starts[k].obj_id), estimate, status, time_ms));
         }
         bar.inc(1);
     }

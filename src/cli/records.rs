@@ -15,7 +15,8 @@ use crate::geometry::Pose;
 use crate::model::Model;
 use crate::track::{Status, Tracked};
 
-/// A file that is written to `<path>.partial` and renamed when it is complete.
+/// A file that is written to `<path>.partial` and renamed when it is complete; devices and pipes are written
+/// directly.
 #[derive(Debug)]
 struct Partial {
     path: PathBuf,
@@ -24,14 +25,19 @@ struct Partial {
 
 impl Partial {
     fn create(path: &Path) -> Result<(Self, File)> {
+        // A link must keep pointing to its file: replace the file, not the link.
+        let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let device = std::fs::metadata(&path).is_ok_and(|m| !m.is_file() && !m.is_dir());
         let mut name = path.as_os_str().to_owned();
-        name.push(".partial");
+        if !device {
+            name.push(".partial");
+        }
         let partial = PathBuf::from(name);
         if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, e))?;
         }
         let file = File::create(&partial).map_err(|e| Error::io(&partial, e))?;
-        Ok((Self { path: path.to_owned(), partial }, file))
+        Ok((Self { path, partial }, file))
     }
 
     fn error(&self, source: io::Error) -> Error {
@@ -39,6 +45,9 @@ impl Partial {
     }
 
     fn rename(&self) -> Result<()> {
+        if self.partial == self.path {
+            return Ok(());
+        }
         std::fs::rename(&self.partial, &self.path).map_err(|e| Error::io(&self.path, e))
     }
 }
@@ -154,13 +163,15 @@ impl FrameRecord {
 
 /// The row of an estimate: its score is the correlation, 0 where the object is lost.
 pub(super) fn row(
-    scene_id: u32,
-    im_id: u32,
-    obj_id: u32,
+    (scene_id, im_id, obj_id): (u32, u32, u32),
     estimate: &PoseEstimate,
+    status: Status,
     time_ms: f64,
 ) -> ResultRow {
-    let score = if estimate.score.is_lost() { 0.0 } else { estimate.score.correlation };
+    let score = match status {
+        Status::Tracking => estimate.score.correlation,
+        Status::Lost => 0.0,
+    };
     ResultRow {
         scene_id,
         im_id,

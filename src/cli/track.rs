@@ -15,7 +15,7 @@ use crate::dataset::{PoseSource, Scene};
 use crate::eval::Estimate;
 use crate::eval::statistics::{median, percentile};
 use crate::model::Model;
-use crate::track::{Status, Tracker};
+use crate::track::Tracker;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -124,7 +124,7 @@ pub(super) fn track_scene(
         let image = frames::read(frame).with_context(so_far)?;
         tracker.set_camera(frame.camera)?;
         let tracked = tracker.track(&image).with_context(so_far)?;
-        let row = row(scene.id, frame.id, object, &tracked.estimate, tracked.time_ms);
+        let row = row((scene.id, frame.id, object), &tracked.estimate, tracked.status, tracked.time_ms);
         results.write(&row)?;
         if let Some(details) = &mut details {
             details.write(&FrameRecord::new(tracker.model(), scene.id, frame.id, &tracked))?;
@@ -135,8 +135,13 @@ pub(super) fn track_scene(
         }
         #[expect(clippy::cast_precision_loss, reason = "iteration counts are small")]
         let iterations = Some(tracked.estimate.iterations as f64);
-        let score = if tracked.status == Status::Lost { 0.0 } else { row.score };
-        estimates.push(Estimate { frame: frame.id, pose: row.pose, score, time_s: row.time_s, iterations });
+        estimates.push(Estimate {
+            frame: frame.id,
+            pose: row.pose,
+            score: row.score,
+            time_s: row.time_s,
+            iterations,
+        });
         bar.inc(1);
     }
     bar.finish_and_clear();
