@@ -2,21 +2,42 @@
 
 use nalgebra::{DMatrix, Matrix3, Matrix6, Point3};
 
-use super::normal_equations::NormalEquations;
+use super::levenberg_marquardt::State;
+use super::normal_equations::{self, LevelProblem, NormalEquations, Rows};
 use crate::geometry::Pose;
 use crate::geometry::pose::skew;
 
-/// Inverse of the hessian's pose block after the appearance parameters, times the residual variance; zero where the
-/// pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and radians.
-pub(super) fn covariance(equations: &NormalEquations) -> Matrix6<f64> {
+/// Cluster-robust covariance: H^-1 (sum_i g_i g_i^T) H^-1 with g_i the part of triangle i in the gradient. Residuals of
+/// neighbouring pixels are correlated (interpolation, light, model errors) and stronger where the contrast is; both
+/// show in the sums of whole triangles, while the textbook s^2 H^-1 takes every pixel for an independent witness. Zero
+/// where the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and
+/// radians.
+pub(super) fn covariance(
+    problem: &LevelProblem<'_>,
+    state: &State,
+    rows: &Rows<'_>,
+    weights: &[f64],
+    equations: &NormalEquations,
+) -> Matrix6<f64> {
     // Columns differ by orders of magnitude (metres, radians): normalise before inverting.
     let scale = equations.hessian.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
     let scale = DMatrix::from_diagonal(&scale);
-    let normalised = &scale * &equations.hessian * &scale;
-    normalised.cholesky().map_or_else(Matrix6::zeros, |c| {
-        let inverse = &scale * c.inverse() * &scale;
-        inverse.fixed_view::<6, 6>(0, 0) * equations.cost
-    })
+    let Some(factor) = (&scale * &equations.hessian * &scale).cholesky() else { return Matrix6::zeros() };
+    let parts =
+        normal_equations::triangle_gradients(problem, &state.pose, rows, weights, state.appearance.len());
+    let (n, p) = (parts.len(), scale.nrows());
+    if n <= p {
+        return Matrix6::zeros();
+    }
+    let mut meat = DMatrix::zeros(p, p);
+    for part in &parts {
+        let part = &scale * part;
+        meat.ger(1.0, &part, &part, 1.0);
+    }
+    #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+    let few_clusters = n as f64 / (n - p) as f64;
+    let covariance = &scale * factor.solve(&factor.solve(&meat).transpose()) * &scale * few_clusters;
+    covariance.fixed_view::<6, 6>(0, 0).into_owned()
 }
 
 /// The covariance in ROS order `x y z rotX rotY rotZ` (metres, radians, fixed axes of the camera frame): errors of

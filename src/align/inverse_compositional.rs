@@ -73,6 +73,17 @@ impl InverseCompositional {
         }
     }
 
+    fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
+        let template = &target.model.levels[level];
+        let grouping = if level == 0 { self.options.full_size_grouping } else { Grouping::FaceAndView };
+        LevelProblem {
+            level: template,
+            camera: target.camera.at_level(level),
+            groups: Groups::new(grouping, &target.model.shape, template),
+            centre: target.model.shape.centre,
+        }
+    }
+
     fn level(
         &self,
         backend: &mut dyn Backend,
@@ -80,14 +91,7 @@ impl InverseCompositional {
         level: usize,
         states: Vec<State>,
     ) -> Result<Vec<Descent>> {
-        let template = &target.model.levels[level];
-        let grouping = if level == 0 { self.options.full_size_grouping } else { Grouping::FaceAndView };
-        let problem = LevelProblem {
-            level: template,
-            camera: target.camera.at_level(level),
-            groups: Groups::new(grouping, &target.model.shape, template),
-            centre: target.model.shape.centre,
-        };
+        let problem = self.problem(target, level);
         let settings = self.settings(level);
         let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
         let mut evaluator = Evaluator { backend, target, level, problem: &problem, sums: Sums::default() };
@@ -141,7 +145,8 @@ impl Aligner for InverseCompositional {
             }
             states = last.iter().map(|d| d.state.clone()).collect();
         }
-        let estimate = |(i, d): (usize, Descent)| finish(target, d, iterations[i], converged[i]);
+        let problem = self.problem(target, 0);
+        let estimate = |(i, d): (usize, Descent)| finish(&problem, d, iterations[i], converged[i]);
         Ok(last.into_iter().enumerate().map(estimate).collect())
     }
 }
@@ -160,15 +165,15 @@ fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
     Ok(())
 }
 
-fn finish(target: &Target<'_>, descent: Descent, iterations: usize, converged: bool) -> PoseEstimate {
-    let level = &target.model.levels[0];
-    let rows = Rows { data: &descent.rows, row_len: Sums::row_len(target.model.modes()) };
+fn finish(problem: &LevelProblem<'_>, descent: Descent, iterations: usize, converged: bool) -> PoseEstimate {
+    let Descent { state, rows, visibility, weights, equations, .. } = descent;
+    let rows = Rows { data: &rows, row_len: Sums::row_len(state.appearance.len()) };
     PoseEstimate {
-        score: Score::new(level, &rows, &descent.visibility, &descent.state.appearance),
-        covariance: covariance(&descent.equations),
-        rms: if descent.equations.cost.is_finite() { descent.equations.cost.max(0.0).sqrt() } else { 0.0 },
-        camera_from_object: descent.state.pose,
-        appearance: descent.state.appearance,
+        score: Score::new(problem.level, &rows, &visibility, &state.appearance),
+        covariance: covariance(problem, &state, &rows, &weights, &equations),
+        rms: if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 },
+        camera_from_object: state.pose,
+        appearance: state.appearance,
         iterations,
         converged,
     }

@@ -48,7 +48,7 @@ pub(super) struct Descent {
     pub(super) equations: NormalEquations,
     pub(super) iterations: usize,
     pub(super) stop: Option<Stop>,
-    weights: Vec<f64>,
+    pub(super) weights: Vec<f64>,
     damping: f64,
     candidate: Option<State>,
 }

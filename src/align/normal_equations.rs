@@ -223,6 +223,39 @@ impl Coupling {
     }
 }
 
+/// The part of every active triangle in the gradient (6+l) after gain and bias: they add up to JtQr.
+pub(super) fn triangle_gradients(
+    problem: &LevelProblem<'_>,
+    pose: &Pose,
+    rows: &Rows<'_>,
+    s: &[f64],
+    modes: usize,
+) -> Vec<DVector<f64>> {
+    let solutions = photometric::solve(&problem.groups, problem.level, rows, s);
+    let part = |(t, geometry): (usize, &Option<ChartGeometry>)| {
+        let geometry = geometry.as_ref().filter(|_| s[t] > 0.0)?;
+        let (motion, _) = corner_motion(problem, pose, geometry)?;
+        let group = problem.groups.of_triangle[t];
+        let (x, centre) = (solutions[group].value, problem.groups.centre[group]);
+        let (moments, inside) = (&problem.level.moments[t], rows.inside(problem.level, t));
+        // Gain and bias change the residual by x0 (T0 - centre) + x1.
+        let columns = [(GAIN, x[0]), (BIAS, x[1] - centre * x[0])];
+        let mut part = DVector::zeros(6 + modes);
+        let mut v = barycentric_gradient(rows.row(t).gradient(), geometry);
+        for (column, factor) in columns {
+            v += factor * inside * moments.cross.fixed_view::<6, 1>(0, column);
+        }
+        part.fixed_rows_mut::<6>(0).copy_from(&(s[t] * (1.0 + x[0]) * motion.transpose() * v));
+        for k in 0..modes {
+            let of_columns: f64 =
+                columns.iter().map(|(c, f)| f * inside * moments.appearance[(FIRST_MODE + k, *c)]).sum();
+            part[6 + k] = s[t] * (rows.row(t).appearance()[FIRST_MODE + k] + of_columns);
+        }
+        Some(part)
+    };
+    problem.level.geometry.iter().enumerate().filter_map(part).collect()
+}
+
 /// Weighted mean squared residual after gain and bias with the given triangle weights, and the sum of weights.
 pub(super) fn cost(problem: &LevelProblem<'_>, appearance: &[f64], rows: &Rows<'_>, s: &[f64]) -> f64 {
     let solutions = photometric::solve(&problem.groups, problem.level, rows, s);
