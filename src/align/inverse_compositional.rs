@@ -1,25 +1,19 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
 use super::covariance::covariance;
+use super::evaluator::{Evaluator, visibility};
 use super::levenberg_marquardt::{Descent, Settings, State, Stop};
 use super::normal_equations::{LevelProblem, Rows};
 use super::photometric::{Grouping, Groups};
 use super::robust::Redescent;
 use super::score::Score;
 use super::{Aligner, PoseEstimate, Start, Target};
-use crate::backend::{Backend, Request, Sums, TriangleWarp};
+use crate::backend::{Backend, Sums};
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
-use crate::geometry::raster::{facing, visible_shares};
-use crate::geometry::warp::homography;
 use crate::model::Model;
 
-/// Triangles seen more obliquely than this cosine are left out.
-const MIN_COSINE: f64 = 0.06;
-/// Visibility is judged on an image of this pyramid level.
-const VISIBILITY_LEVEL: usize = 2;
-/// Triangles with less than this share free of occlusion by the object itself are left out.
-const MIN_VISIBLE: f64 = 0.5;
+/// Pyramid level on which a prediction is picked up; coarser ones are for the search.
+const COARSEST_TRACKED: usize = 2;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,18 +56,18 @@ impl InverseCompositional {
         Self { options }
     }
 
-    fn settings(&self, level: usize) -> Settings {
+    fn settings(&self, level: usize, robust: bool) -> Settings {
         let stop_px =
             self.options.stop_px.get(level).or(self.options.stop_px.last()).copied().unwrap_or(0.01);
         Settings {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
-            redescent: self.options.robust.then_some(Redescent { full: 1.0, zero: 3.0 }),
+            redescent: robust.then_some(Redescent { full: 1.0, zero: 3.0 }),
         }
     }
 
-    fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
+    pub(super) fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
         let template = &target.model.levels[level];
         let grouping = if level == 0 { self.options.full_size_grouping } else { Grouping::FaceAndView };
         LevelProblem {
@@ -84,15 +78,39 @@ impl InverseCompositional {
         }
     }
 
+    /// Descends from level to level; all states in step.
+    pub(super) fn coarse_to_fine(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        levels: impl Iterator<Item = usize>,
+        robust: bool,
+        mut states: Vec<State>,
+    ) -> Result<Vec<Descended>> {
+        let mut totals = vec![(0, true); states.len()];
+        let mut last = Vec::new();
+        for level in levels {
+            last = self.level(backend, target, level, robust, states)?;
+            for ((iterations, converged), descent) in totals.iter_mut().zip(&last) {
+                *iterations += descent.iterations;
+                *converged &= descent.stop == Some(Stop::Converged);
+            }
+            states = last.iter().map(|d| d.state.clone()).collect();
+        }
+        let join = |(last, (iterations, converged))| Descended { last, iterations, converged };
+        Ok(last.into_iter().zip(totals).map(join).collect())
+    }
+
     fn level(
         &self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         level: usize,
+        robust: bool,
         states: Vec<State>,
     ) -> Result<Vec<Descent>> {
         let problem = self.problem(target, level);
-        let settings = self.settings(level);
+        let settings = self.settings(level, robust);
         let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
         let mut evaluator = Evaluator { backend, target, level, problem: &problem, sums: Sums::default() };
         evaluator.evaluate(states.iter().zip(&visibility))?;
@@ -118,6 +136,17 @@ impl InverseCompositional {
     }
 }
 
+/// A descent through several levels.
+#[derive(Debug)]
+pub(super) struct Descended {
+    /// The descent on the last level.
+    pub(super) last: Descent,
+    /// Steps over all levels.
+    iterations: usize,
+    /// False if any level did not converge.
+    converged: bool,
+}
+
 impl Aligner for InverseCompositional {
     fn levels(&self, model: &Model) -> usize {
         model.levels.len()
@@ -130,24 +159,25 @@ impl Aligner for InverseCompositional {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>> {
         check(target, starts)?;
-        let mut states: Vec<State> = starts
+        let states = starts
             .iter()
             .map(|s| State { pose: s.camera_from_object.renormalised(), appearance: s.appearance.clone() })
             .collect();
-        let mut iterations = vec![0; starts.len()];
-        let mut converged = vec![true; starts.len()];
-        let mut last = Vec::new();
-        for level in (0..target.model.levels.len()).rev() {
-            last = self.level(backend, target, level, states)?;
-            for (i, descent) in last.iter().enumerate() {
-                iterations[i] += descent.iterations;
-                converged[i] &= descent.stop == Some(Stop::Converged);
-            }
-            states = last.iter().map(|d| d.state.clone()).collect();
-        }
+        let coarsest = COARSEST_TRACKED.min(target.model.levels.len() - 1);
+        let descents =
+            self.coarse_to_fine(backend, target, (0..=coarsest).rev(), self.options.robust, states)?;
         let problem = self.problem(target, 0);
-        let estimate = |(i, d): (usize, Descent)| finish(&problem, d, iterations[i], converged[i]);
-        Ok(last.into_iter().enumerate().map(estimate).collect())
+        Ok(descents.into_iter().map(|d| finish(&problem, d)).collect())
+    }
+
+    fn search(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        around: &Start,
+    ) -> Result<Option<PoseEstimate>> {
+        check(target, std::slice::from_ref(around))?;
+        self.shift_search(backend, target, around).map(Some)
     }
 }
 
@@ -165,8 +195,9 @@ fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
     Ok(())
 }
 
-fn finish(problem: &LevelProblem<'_>, descent: Descent, iterations: usize, converged: bool) -> PoseEstimate {
-    let Descent { state, rows, visibility, weights, equations, .. } = descent;
+pub(super) fn finish(problem: &LevelProblem<'_>, descended: Descended) -> PoseEstimate {
+    let Descended { last, iterations, converged } = descended;
+    let Descent { state, rows, visibility, weights, equations, .. } = last;
     let rows = Rows { data: &rows, row_len: Sums::row_len(state.appearance.len()) };
     PoseEstimate {
         score: Score::new(problem.level, &rows, &visibility, &state.appearance),
@@ -176,59 +207,5 @@ fn finish(problem: &LevelProblem<'_>, descent: Descent, iterations: usize, conve
         appearance: state.appearance,
         iterations,
         converged,
-    }
-}
-
-/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden.
-fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
-    let mesh = &target.model.shape.mesh;
-    let shares = visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose);
-    let keep = |(t, share): (usize, f64)| {
-        let seen = share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        if seen { share } else { 0.0 }
-    };
-    shares.into_iter().enumerate().map(keep).collect()
-}
-
-/// Runs the `accumulate` stage for many states of one level.
-struct Evaluator<'a> {
-    backend: &'a mut dyn Backend,
-    target: &'a Target<'a>,
-    level: usize,
-    problem: &'a LevelProblem<'a>,
-    sums: Sums,
-}
-
-impl Evaluator<'_> {
-    fn evaluate<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>) -> Result<()> {
-        let (mut warps, mut appearance, mut items) = (Vec::new(), Vec::new(), 0);
-        for (state, visibility) in states {
-            items += 1;
-            #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
-            appearance.extend(state.appearance.iter().map(|a| *a as f32));
-            for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
-                let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
-                warps.push(geometry.map_or(
-                    TriangleWarp { image_from_chart: nalgebra::Matrix3::zeros(), active: false },
-                    |g| TriangleWarp {
-                        image_from_chart: homography(&self.problem.camera, &state.pose, &g.object_from_chart),
-                        active: true,
-                    },
-                ));
-            }
-        }
-        let request = Request {
-            model: self.target.id,
-            level: self.level,
-            items,
-            warps: &warps,
-            appearance: &appearance,
-        };
-        self.backend.accumulate(&request, &mut self.sums)
-    }
-
-    fn rows(&self, item: usize) -> Rows<'_> {
-        let row_len = Sums::row_len(self.target.model.modes());
-        Rows { data: self.sums.item(item), row_len }
     }
 }

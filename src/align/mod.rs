@@ -1,12 +1,14 @@
 //! One frame: from a start pose to the pose that aligns the template with the image.
 
 mod covariance;
+mod evaluator;
 mod inverse_compositional;
 mod levenberg_marquardt;
 mod normal_equations;
 mod photometric;
 mod robust;
 mod score;
+mod search;
 
 use nalgebra::Matrix6;
 
@@ -76,4 +78,18 @@ pub trait Aligner: Send {
         target: &Target<'_>,
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>>;
+
+    /// Looks for the object around a pose from which [`Self::align`] found nothing; `None` if the method has no
+    /// search. The caller decides by the score whether to believe the estimate.
+    ///
+    /// # Errors
+    /// Those of the backend.
+    fn search(
+        &self,
+        _backend: &mut dyn Backend,
+        _target: &Target<'_>,
+        _around: &Start,
+    ) -> Result<Option<PoseEstimate>> {
+        Ok(None)
+    }
 }

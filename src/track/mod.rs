@@ -125,7 +125,7 @@ impl Tracker {
         let start =
             Start { camera_from_object: motion.predict(&centre), appearance: self.appearance.clone() };
         let estimate = self.align(image, std::slice::from_ref(&start))?.remove(0);
-        let status = if self.believes(&estimate) { Status::Tracking } else { Status::Lost };
+        let status = if believed(&estimate, self.lost) { Status::Tracking } else { Status::Lost };
         self.lost = status == Status::Lost;
         match status {
             Status::Tracking => {
@@ -140,15 +140,31 @@ impl Tracker {
         Ok(Tracked { status, estimate, time_ms: began.elapsed().as_secs_f64() * 1e3 })
     }
 
-    fn believes(&self, estimate: &PoseEstimate) -> bool {
-        !estimate.score.is_lost() && (!self.lost || estimate.score.correlation >= RECOVERED_CORRELATION)
-    }
-
-    /// Aligns every start with one frame, each on its own, and leaves the track as it is.
+    /// Aligns every start with one frame, each on its own, and leaves the track as it is. Around starts from which
+    /// the object is not found it is searched for.
     ///
     /// # Errors
     /// As [`Self::track`].
     pub fn align(&mut self, image: &GrayImage, starts: &[Start]) -> Result<Vec<PoseEstimate>> {
+        self.set_frame(image)?;
+        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified() };
+        let mut estimates = self.aligner.align(self.backend.as_mut(), &target, starts)?;
+        for (estimate, start) in estimates.iter_mut().zip(starts) {
+            if believed(estimate, self.lost) {
+                continue;
+            }
+            if let Some(found) = self.aligner.search(self.backend.as_mut(), &target, start)? {
+                let iterations = estimate.iterations + found.iterations;
+                if believed(&found, true) {
+                    *estimate = found;
+                }
+                estimate.iterations = iterations;
+            }
+        }
+        Ok(estimates)
+    }
+
+    fn set_frame(&mut self, image: &GrayImage) -> Result<()> {
         let expected = (self.camera.width, self.camera.height);
         if image.dimensions() != expected {
             let (w, h) = image.dimensions();
@@ -157,11 +173,14 @@ impl Tracker {
         }
         let levels = self.aligner.levels(&self.model);
         if self.camera.distortion.is_none() {
-            self.backend.set_frame(image, levels)?;
+            self.backend.set_frame(image, levels)
         } else {
-            self.backend.set_frame(&self.rectifier.rectify(image.clone()), levels)?;
+            self.backend.set_frame(&self.rectifier.rectify(image.clone()), levels)
         }
-        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified() };
-        self.aligner.align(self.backend.as_mut(), &target, starts)
     }
+}
+
+/// Is the object where the estimate says? Coming back after a loss or by a search needs more evidence than going on.
+fn believed(estimate: &PoseEstimate, recovering: bool) -> bool {
+    !estimate.score.is_lost() && (!recovering || estimate.score.correlation >= RECOVERED_CORRELATION)
 }

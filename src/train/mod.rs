@@ -50,7 +50,7 @@ impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             object_id: 1,
-            levels: 3,
+            levels: 4,
             modes: 0,
             max_edge_px: 40.0,
             border_margin_px: vec![1.5, 1.5, 0.5],
