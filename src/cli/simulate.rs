@@ -31,6 +31,9 @@ pub(super) struct Args {
     /// Standard deviation of the noise in grey levels of 255
     #[arg(long, value_name = "SIGMA", default_value_t = 2.0)]
     noise: f64,
+    /// Standard deviation of the optical blur in pixels
+    #[arg(long, value_name = "PX", default_value_t = 0.0)]
+    blur: f64,
     #[command(flatten)]
     json: JsonArg,
 }
@@ -51,6 +54,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         light: args.light,
         occlusion: args.occlusion,
         noise: args.noise,
+        blur: args.blur,
         ..SequenceOptions::default()
     };
     let sequences = [1, 2].map(|sequence| SequenceOptions { sequence, ..options });

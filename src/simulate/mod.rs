@@ -14,6 +14,7 @@
 //! # Ok::<(), aam6d::Error>(())
 //! ```
 
+mod blur;
 pub mod export;
 pub mod light;
 pub mod object;

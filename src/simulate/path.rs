@@ -11,6 +11,9 @@ const TURN: f64 = 2.0 * std::f64::consts::PI;
 /// Frames in which the box turns from one end of its swing to the other.
 const BOX_SWING_FRAMES: f64 = 120.0;
 
+/// Frames in which the box on the turntable goes round once.
+const TURNTABLE_FRAMES: f64 = 240.0;
+
 /// A sum of two sines with seeded periods and phases, never beyond its amplitude.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wave {
@@ -54,7 +57,7 @@ impl Path {
         // x, y, z in metres; x, y, z rotations in radians.
         let (position, sway) = match scene {
             SceneKind::Relief => ([0.034, 0.022, 0.078], [0.0, 0.0, 0.5]),
-            SceneKind::Box => ([0.022, 0.016, 0.022], [0.07, 0.05, 0.06]),
+            SceneKind::Box | SceneKind::Turntable => ([0.022, 0.016, 0.022], [0.07, 0.05, 0.06]),
         };
         let mut wave = |amplitude: f64, period: f64| Wave::new(amplitude, period, &mut random);
         Self {
@@ -74,6 +77,7 @@ impl Path {
         match self.scene {
             SceneKind::Relief => self.relief(frame, shift),
             SceneKind::Box => self.swing(frame, shift),
+            SceneKind::Turntable => self.turntable(frame, shift),
         }
     }
 
@@ -89,7 +93,18 @@ impl Path {
     /// Seen from above, turning 45 degrees about the vertical axis and back.
     fn swing(&self, frame: f64, shift: Vector3<f64>) -> Pose {
         let swing = libm::cos(0.5 * TURN * frame / BOX_SWING_FRAMES) * if self.flipped { -1.0 } else { 1.0 };
-        let turned = rotation(Vector3::new(0.0, (40.0 - 22.5 * swing).to_radians(), 0.0));
+        self.seen_from_above((40.0 - 22.5 * swing).to_radians(), frame, shift)
+    }
+
+    /// Seen from above, going round at constant speed.
+    fn turntable(&self, frame: f64, shift: Vector3<f64>) -> Pose {
+        let angle = TURN * frame / TURNTABLE_FRAMES * if self.flipped { -1.0 } else { 1.0 };
+        self.seen_from_above(angle, frame, shift)
+    }
+
+    /// Turned about the vertical axis by an angle in radians, with the sway of the path.
+    fn seen_from_above(&self, angle: f64, frame: f64, shift: Vector3<f64>) -> Pose {
+        let turned = rotation(Vector3::new(0.0, angle, 0.0));
         let raised = rotation(Vector3::new(30_f64.to_radians(), 0.0, 0.0));
         let swayed = rotation(Vector3::from(self.sway.map(|w| w.at(frame))));
         Pose::from_quaternion(swayed * raised * turned, shift + Vector3::new(0.0, 0.0, 0.45))

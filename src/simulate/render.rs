@@ -4,6 +4,7 @@ use image::GrayImage;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use super::blur;
 use super::light::Light;
 use super::object::TexturedMesh;
 use super::occluder::Occluder;
@@ -37,6 +38,8 @@ pub struct View {
     pub light: Light,
     /// Hides a part of the object.
     pub occluder: Option<Occluder>,
+    /// Standard deviation of the optical blur, pixels.
+    pub blur: f64,
     /// Noise on the image.
     pub noise: Option<Noise>,
 }
@@ -140,6 +143,9 @@ impl Renderer {
     pub fn render_view(&self, view: &View) -> GrayImage {
         let layer = self.object_layer(&view.pose, &view.light);
         let mut values = self.composite(&layer, view);
+        if view.blur > 0.0 {
+            blur::gaussian(&mut values, self.camera.width as usize, view.blur);
+        }
         if let Some(noise) = view.noise.filter(|n| n.sigma > 0.0) {
             let mut stream = Stream::new(noise.seed, Purpose::Noise, noise.frame);
             for_each_gaussian(&mut stream, &mut values, |value, z| *value += noise.sigma * z);

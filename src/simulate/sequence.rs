@@ -28,6 +28,8 @@ pub enum SceneKind {
     Relief,
     /// A box of 165 x 68 x 80 mm that turns 45 degrees about its vertical axis at about 0.45 m; f = 700.
     Box,
+    /// The same box going round by 360 degrees in 240 frames.
+    Turntable,
 }
 
 impl SceneKind {
@@ -35,7 +37,7 @@ impl SceneKind {
     pub fn camera(self) -> Camera {
         let f = match self {
             Self::Relief => 800.0,
-            Self::Box => 700.0,
+            Self::Box | Self::Turntable => 700.0,
         };
         Camera::pinhole(f, f, 319.5, 239.5, 640, 480)
     }
@@ -44,7 +46,7 @@ impl SceneKind {
     pub fn object(self, seed: u64) -> TexturedMesh {
         match self {
             Self::Relief => relief(seed),
-            Self::Box => textured_box(seed),
+            Self::Box | Self::Turntable => textured_box(seed),
         }
     }
 }
@@ -67,6 +69,8 @@ pub struct SequenceOptions {
     pub occlusion: f64,
     /// Standard deviation of the noise, grey levels of 255, 0 to 50.
     pub noise: f64,
+    /// Standard deviation of the optical blur, pixels, 0 to 10.
+    pub blur: f64,
     /// Samples per pixel and axis, 1 to 8.
     pub supersampling: usize,
 }
@@ -81,6 +85,7 @@ impl Default for SequenceOptions {
             light: false,
             occlusion: 0.0,
             noise: 2.0,
+            blur: 0.0,
             supersampling: 3,
         }
     }
@@ -106,6 +111,9 @@ impl SequenceOptions {
         }
         if !(0.0..=50.0).contains(&self.noise) {
             return refuse("noise", self.noise.to_string(), "0 to 50 grey levels");
+        }
+        if !(0.0..=10.0).contains(&self.blur) {
+            return refuse("blur", self.blur.to_string(), "0 to 10 pixels");
         }
         if !(1..=8).contains(&self.supersampling) {
             return refuse("supersampling", self.supersampling.to_string(), "1 to 8 samples per axis");
@@ -191,7 +199,7 @@ impl Sequence {
             frame: u64::from(self.options.sequence) << 32 | frame as u64,
         });
         let light = if self.options.light { self.light.at(k) } else { Light::default() };
-        View { pose: self.pose(frame), light, occluder, noise }
+        View { pose: self.pose(frame), light, occluder, blur: self.options.blur, noise }
     }
 
     /// Image of a frame.
