@@ -7,9 +7,9 @@ use super::normal_equations::{self, LevelProblem, NormalEquations, Rows};
 use crate::geometry::Pose;
 use crate::geometry::pose::skew;
 
-/// Cluster-robust covariance: H^-1 (sum_i g_i g_i^T) H^-1 with g_i the part of triangle i in the gradient. Residuals of
+/// Cluster-robust covariance: `H^-1 (sum_i g_i g_i^T) H^-1` with `g_i` the part of triangle i in the gradient. Residuals of
 /// neighbouring pixels are correlated (interpolation, light, model errors) and stronger where the contrast is; both
-/// show in the sums of whole triangles, while the textbook s^2 H^-1 takes every pixel for an independent witness. Zero
+/// show in the sums of whole triangles, while the textbook `s^2 H^-1` takes every pixel for an independent witness. Zero
 /// where the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and
 /// radians.
 pub(super) fn covariance(

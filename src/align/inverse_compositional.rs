@@ -14,6 +14,8 @@ use crate::model::Model;
 
 /// Pyramid level on which a prediction is picked up; coarser ones are for the search.
 const COARSEST_TRACKED: usize = 2;
+/// Pyramid level on which template and image are correlated: at full size heavy noise hides a right pose.
+const SCORE_LEVEL: usize = 1;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -101,6 +103,36 @@ impl InverseCompositional {
         Ok(last.into_iter().zip(totals).map(join).collect())
     }
 
+    /// The estimates at the ends of descents: scored at [`SCORE_LEVEL`], the rest from full size.
+    pub(super) fn finish(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        descents: Vec<Descended>,
+    ) -> Result<Vec<PoseEstimate>> {
+        let score_level = SCORE_LEVEL.min(target.model.levels.len() - 1);
+        let scored = self.problem(target, score_level);
+        let mut evaluator =
+            Evaluator { backend, target, level: score_level, problem: &scored, sums: Sums::default() };
+        evaluator.evaluate(descents.iter().map(|d| (&d.last.state, &d.last.visibility)))?;
+        let problem = self.problem(target, 0);
+        let row_len = Sums::row_len(target.model.modes());
+        let estimate = |(k, Descended { last, iterations, converged }): (usize, Descended)| {
+            let Descent { state, rows, visibility, weights, equations, .. } = last;
+            let rows = Rows { data: &rows, row_len };
+            PoseEstimate {
+                score: Score::new(scored.level, &evaluator.rows(k), &visibility, &state.appearance),
+                covariance: covariance(&problem, &state, &rows, &weights, &equations),
+                rms: if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 },
+                camera_from_object: state.pose,
+                appearance: state.appearance,
+                iterations,
+                converged,
+            }
+        };
+        Ok(descents.into_iter().enumerate().map(estimate).collect())
+    }
+
     fn level(
         &self,
         backend: &mut dyn Backend,
@@ -166,8 +198,7 @@ impl Aligner for InverseCompositional {
         let coarsest = COARSEST_TRACKED.min(target.model.levels.len() - 1);
         let descents =
             self.coarse_to_fine(backend, target, (0..=coarsest).rev(), self.options.robust, states)?;
-        let problem = self.problem(target, 0);
-        Ok(descents.into_iter().map(|d| finish(&problem, d)).collect())
+        self.finish(backend, target, descents)
     }
 
     fn search(
@@ -193,19 +224,4 @@ fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
         }
     }
     Ok(())
-}
-
-pub(super) fn finish(problem: &LevelProblem<'_>, descended: Descended) -> PoseEstimate {
-    let Descended { last, iterations, converged } = descended;
-    let Descent { state, rows, visibility, weights, equations, .. } = last;
-    let rows = Rows { data: &rows, row_len: Sums::row_len(state.appearance.len()) };
-    PoseEstimate {
-        score: Score::new(problem.level, &rows, &visibility, &state.appearance),
-        covariance: covariance(problem, &state, &rows, &weights, &equations),
-        rms: if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 },
-        camera_from_object: state.pose,
-        appearance: state.appearance,
-        iterations,
-        converged,
-    }
 }

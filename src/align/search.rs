@@ -4,7 +4,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::evaluator::{Evaluator, visibility};
-use super::inverse_compositional::{InverseCompositional, finish};
+use super::inverse_compositional::InverseCompositional;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost};
 use super::{PoseEstimate, Start, Target};
@@ -45,8 +45,8 @@ impl InverseCompositional {
         let best = descents.iter().min_by(|a, b| misfit(a).total_cmp(&misfit(b)));
         let state =
             best.map_or_else(|| state_at(around, around.camera_from_object), |d| d.last.state.clone());
-        let mut end = self.coarse_to_fine(backend, target, (0..=finest).rev(), true, vec![state])?;
-        Ok(finish(&self.problem(target, 0), end.remove(0)))
+        let end = self.coarse_to_fine(backend, target, (0..=finest).rev(), true, vec![state])?;
+        Ok(self.finish(backend, target, end)?.remove(0))
     }
 
     /// The start and the shifts of it that fit best.

@@ -35,7 +35,8 @@ mod tests {
         values[15 * 41 + 20] = 1.0;
         gaussian(&mut values, 41, 1.5);
         let sum: f64 = values.iter().sum();
-        let variance: f64 = values.iter().enumerate().map(|(i, v)| v * ((i % 41) as f64 - 20.0).powi(2)).sum();
+        let variance: f64 =
+            values.iter().enumerate().map(|(i, v)| v * ((i % 41) as f64 - 20.0).powi(2)).sum();
         assert!((sum - 1.0).abs() < 1e-12, "energy stays, {sum}");
         assert!((variance - 2.25).abs() < 0.02, "variance {variance}");
     }
