@@ -36,7 +36,7 @@ impl Sight {
     }
 }
 
-fn qualities(shape: &Shape, view: &View) -> Vec<f64> {
+pub(super) fn qualities(shape: &Shape, view: &View) -> Vec<f64> {
     // Half resolution is enough to tell hidden from visible.
     let shares = visible_shares(&shape.mesh, &view.camera.at_level(1), &view.camera_from_object);
     let quality = |(triangle, share): (usize, f64)| {
@@ -56,9 +56,25 @@ fn qualities(shape: &Shape, view: &View) -> Vec<f64> {
 /// Chooses a reference view per triangle: repeatedly the image that is good enough for the largest area still
 /// without a view. `None` for triangles that no image sees well.
 pub(super) fn choose_views(shape: &Shape, sight: &Sight) -> Result<Vec<Option<u32>>> {
+    let chosen = choose_views_where(shape, sight, |_, _| true);
+    if chosen.iter().all(Option::is_none) {
+        let problem = "no triangle of the mesh is visible in any of the images";
+        let remedy = "check poses, units (mesh in millimetres) and that the mesh's normals point outwards";
+        return Err(Error::invalid("training", problem, remedy));
+    }
+    Ok(chosen)
+}
+
+/// As [`choose_views`], for the triangles whose best quality is wanted: `wanted(triangle, quality)`.
+pub(super) fn choose_views_where(
+    shape: &Shape,
+    sight: &Sight,
+    wanted: impl Fn(usize, f64) -> bool,
+) -> Vec<Option<u32>> {
     let n = shape.triangles();
     let area: Vec<f64> = (0..n).map(|t| shape.mesh.normal(t).norm()).collect();
-    let best: Vec<f64> = (0..n).map(|t| sight.best(t)).collect();
+    let best: Vec<f64> =
+        (0..n).map(|t| Some(sight.best(t)).filter(|q| wanted(t, *q)).unwrap_or(0.0)).collect();
     let mut chosen = vec![None; n];
     loop {
         let serves = |v: usize, t: usize| {
@@ -76,10 +92,5 @@ pub(super) fn choose_views(shape: &Shape, sight: &Sight) -> Result<Vec<Option<u3
         let number = u32::try_from(view).expect("fewer than 2^32 images");
         taken.into_iter().for_each(|t| chosen[t] = Some(number));
     }
-    if chosen.iter().all(Option::is_none) {
-        let problem = "no triangle of the mesh is visible in any of the images";
-        let remedy = "check poses, units (mesh in millimetres) and that the mesh's normals point outwards";
-        return Err(Error::invalid("training", problem, remedy));
-    }
-    Ok(chosen)
+    chosen
 }

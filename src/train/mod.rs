@@ -3,6 +3,7 @@
 
 mod assign;
 mod canvas;
+mod extend;
 mod modes;
 mod samples;
 
@@ -14,6 +15,8 @@ use crate::imaging::Pyramid;
 use crate::model::{Chart, LevelTemplate, Model, Pixels, Shape, View};
 use canvas::LevelCharts;
 use samples::LevelSamples;
+
+pub use extend::extend;
 
 /// A posed training image.
 #[derive(Debug, Clone)]
@@ -101,21 +104,9 @@ pub fn train(mesh: &TriangleMesh, images: &[TrainingImage], options: &TrainOptio
         images.iter().map(|i| View { camera: i.camera, camera_from_object: i.camera_from_object }).collect();
     let sight = assign::Sight::new(&shape, &views);
     let view_of_triangle = assign::choose_views(&shape, &sight)?;
-    let pyramids: Vec<Pyramid> =
-        images.iter().map(|i| Pyramid::new(i.image.clone(), options.levels)).collect();
-
-    let mut photometry = None;
-    let mut basis = None;
+    let built = build_levels(&shape, &views, &sight, &view_of_triangle, images, options);
     let mut levels = Vec::with_capacity(options.levels);
-    for level in 0..options.levels {
-        let charts = LevelCharts::rasterise(&shape, &views, &view_of_triangle, level, options.margin(level));
-        let mut samples = LevelSamples::take(&shape, &views, &sight, &charts, &pyramids, level);
-        let photometry = photometry.get_or_insert_with(|| samples.photometry(&charts));
-        samples.normalise(&charts, photometry);
-        let mean = samples.mean(&charts, &sight, options.mean_quality);
-        let residuals = samples.residuals(&mean);
-        let basis = basis.get_or_insert_with(|| modes::principal_combinations(&residuals, options.modes));
-        let (pixels, charts) = finish(&charts, &mean, &modes::combine(&residuals, basis), options);
+    for (level, (pixels, charts)) in built.into_iter().enumerate() {
         levels.push(LevelTemplate::new(&shape, &views, level, pixels, charts)?);
     }
     if levels[0].pixels.is_empty() {
@@ -123,6 +114,32 @@ pub fn train(mesh: &TriangleMesh, images: &[TrainingImage], options: &TrainOptio
         return Err(Error::invalid("training", "no usable template pixel", remedy));
     }
     Ok(Model { object_id: options.object_id, shape, views, levels })
+}
+
+/// Pixels and charts of every level for the triangles that have a view; views and images correspond.
+fn build_levels(
+    shape: &Shape,
+    views: &[View],
+    sight: &assign::Sight,
+    view_of_triangle: &[Option<u32>],
+    images: &[TrainingImage],
+    options: &TrainOptions,
+) -> Vec<(Pixels, Vec<Chart>)> {
+    let pyramids: Vec<Pyramid> =
+        images.iter().map(|i| Pyramid::new(i.image.clone(), options.levels)).collect();
+    let mut photometry = None;
+    let mut basis = None;
+    let build = |level: usize| {
+        let charts = LevelCharts::rasterise(shape, views, view_of_triangle, level, options.margin(level));
+        let mut samples = LevelSamples::take(shape, views, sight, &charts, &pyramids, level);
+        let photometry = photometry.get_or_insert_with(|| samples.photometry(&charts));
+        samples.normalise(&charts, photometry);
+        let mean = samples.mean(&charts, sight, options.mean_quality);
+        let residuals = samples.residuals(&mean);
+        let basis = basis.get_or_insert_with(|| modes::principal_combinations(&residuals, options.modes));
+        finish(&charts, &mean, &modes::combine(&residuals, basis), options)
+    };
+    (0..options.levels).map(build).collect()
 }
 
 fn check_image(index: usize, image: &TrainingImage) -> Result<()> {
