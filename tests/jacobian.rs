@@ -1,0 +1,319 @@
+//! Do the analytic columns equal central differences, do the moments stand for the pixels, and does the step go the
+//! right way? All over the pixels of a model of the relief, trained on one frontal view.
+
+mod support;
+
+use std::sync::LazyLock;
+
+use aam6d::align::{Grouping, Options, PoseEstimate};
+use aam6d::geometry::raster::{facing, visible_shares};
+use aam6d::geometry::warp::{apply, homography, increment_jacobian, warp_jacobian};
+use aam6d::geometry::{Camera, Pose};
+use aam6d::imaging::GrayImage;
+use aam6d::imaging::sample::bilinear;
+use aam6d::model::{ChartGeometry, Model};
+use aam6d::simulate::{Renderer, SceneKind};
+use aam6d::train::{TrainOptions, TrainingImage, train};
+use nalgebra::{
+    DMatrix, Matrix2x6, Matrix3, Matrix6, Point2, Point3, RowVector6, SMatrix, SVector, Vector3, Vector6,
+};
+use support::tracking::{Disturbance, cpu, say, start, tracker_with};
+
+/// Steps of the central differences: metres and radians.
+const STEP: [f64; 6] = [1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6];
+/// Largest error of a column of D, of its largest value over all pixels; rounding leaves about 1e-9.
+const COLUMN_ERROR: f64 = 1e-8;
+/// What is left of an error that one step should remove; differences and f32 gradients leave some 1e-8.
+const NOTHING_LEFT: f64 = 1e-6;
+/// Largest difference between moments and pixels, normalised.
+const MOMENTS: f64 = 0.02;
+
+struct Setup {
+    renderer: Renderer,
+    model: Model,
+    camera: Camera,
+}
+
+/// One level, one frontal view, no noise.
+static SETUP: LazyLock<Setup> = LazyLock::new(|| {
+    let camera = SceneKind::Relief.camera();
+    let renderer = Renderer::new(SceneKind::Relief.object(1), camera).expect("a pinhole").with_clutter(1, 1);
+    let view = TrainingImage { image: renderer.render(&frontal()), camera, camera_from_object: frontal() };
+    let options = TrainOptions { levels: 1, ..TrainOptions::default() };
+    let model = train(&renderer.object().mesh, &[view], &options).expect("in view");
+    Setup { renderer, model, camera }
+});
+
+fn frontal() -> Pose {
+    Pose::from_params(&Vector6::new(0.004, -0.003, 0.56, 0.0, 0.0, 0.0))
+}
+
+/// The frontal pose after a rotation about the object's centre (rotation vector, degrees).
+fn turned(degrees: [f64; 3]) -> Pose {
+    let turn = Vector3::from(degrees).map(f64::to_radians);
+    frontal().compose(&Pose::about(turn, Vector3::zeros(), &SETUP.model.shape.centre))
+}
+
+/// Anywhere: turned about all axes, moved, and nearer.
+fn arbitrary() -> Pose {
+    let turn = Vector3::new(0.3, -0.4, 0.9);
+    frontal().compose(&Pose::about(turn, Vector3::new(0.012, -0.007, -0.03), &SETUP.model.shape.centre))
+}
+
+/// A pixel of the template with all that its row of J is made of.
+struct Pixel<'a> {
+    geometry: &'a ChartGeometry,
+    position: Point2<f64>,
+    /// On the object.
+    point: Point3<f64>,
+    gradient: [f64; 2],
+    intensity: f64,
+    /// Weight q times the visible share of the triangle.
+    weight: f64,
+}
+
+/// Every `stride`-th pixel of the triangles that the method uses at a pose.
+fn pixels(pose: &Pose, stride: usize) -> Vec<Pixel<'static>> {
+    let (level, shape) = (&SETUP.model.levels[0], &SETUP.model.shape);
+    let shares = visible_shares(&shape.mesh, &SETUP.camera.at_level(2), pose);
+    let mut out = Vec::new();
+    for (t, chart) in level.charts.iter().enumerate() {
+        let Some(geometry) = &level.geometry[t] else { continue };
+        if shares[t] < 0.5 || facing(&shape.mesh.corners(t), pose) < 0.06 {
+            continue;
+        }
+        for p in chart.range().step_by(stride) {
+            let [u, v] = level.pixels.position[p].map(f64::from);
+            let x = geometry.object_from_chart * Vector3::new(u, v, 1.0);
+            out.push(Pixel {
+                geometry,
+                position: Point2::new(u, v),
+                point: Point3::from(x.xyz() / x.w),
+                gradient: level.pixels.gradient[p].map(f64::from),
+                intensity: level.pixels.intensity[p].into(),
+                weight: shares[t] * f64::from(level.pixels.weight[p]),
+            });
+        }
+    }
+    assert!(out.len() * stride > 20_000, "only {} pixels", out.len() * stride);
+    out
+}
+
+impl Pixel<'_> {
+    fn warp(&self, pose: &Pose) -> Matrix3<f64> {
+        homography(&SETUP.camera, pose, &self.geometry.object_from_chart)
+    }
+
+    fn image(&self, pose: &Pose) -> Point2<f64> {
+        apply(&self.warp(pose), &self.position).expect("in front")
+    }
+
+    fn d(&self, pose: &Pose) -> Matrix2x6<f64> {
+        increment_jacobian(&SETUP.camera, pose, &self.point, &SETUP.model.shape.centre)
+    }
+
+    /// A^-1 D: motion in template pixels.
+    fn motion(&self, pose: &Pose) -> Matrix2x6<f64> {
+        let a = warp_jacobian(&self.warp(pose), &self.position);
+        a.try_inverse().expect("not edge-on") * self.d(pose)
+    }
+
+    fn row(&self, motion: &Matrix2x6<f64>) -> RowVector6<f64> {
+        motion.row(0) * self.gradient[0] + motion.row(1) * self.gradient[1]
+    }
+}
+
+/// Central differences of `f` by the increment composed on the right of a pose.
+fn differences(pose: &Pose, f: impl Fn(&Pose) -> Point2<f64>) -> Matrix2x6<f64> {
+    let mut out = Matrix2x6::zeros();
+    for (axis, h) in STEP.into_iter().enumerate() {
+        let mut d = Vector6::zeros();
+        d[axis] = h;
+        let at = |d: &Vector6<f64>| f(&pose.compose(&Pose::increment(d, &SETUP.model.shape.centre)));
+        out.set_column(axis, &((at(&d) - at(&-d)) / (2.0 * h)));
+    }
+    out
+}
+
+/// Largest error of every column, as a share of its largest value.
+fn column_errors(pairs: &[(Matrix2x6<f64>, Matrix2x6<f64>)]) -> [f64; 6] {
+    std::array::from_fn(|axis| {
+        let error = |(a, b): &(Matrix2x6<f64>, Matrix2x6<f64>)| (a.column(axis) - b.column(axis)).norm();
+        let most = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+        most(&mut pairs.iter().map(error)) / most(&mut pairs.iter().map(|(a, _)| a.column(axis).norm()))
+    })
+}
+
+fn check_columns(what: &str, errors: [f64; 6]) {
+    let text = format!("{what} is off by {}", errors.map(|e| format!("{e:.1e}")).join(" "));
+    say(format_args!("{text}"));
+    assert!(errors.iter().all(|e| *e < COLUMN_ERROR), "{text}");
+}
+
+#[test]
+fn columns_equal_central_differences() {
+    for (name, pose) in [("reference", frontal()), ("arbitrary", arbitrary())] {
+        let pixels = pixels(&pose, 23);
+        let d: Vec<_> =
+            pixels.iter().map(|p| (p.d(&pose), differences(&pose, |pose| p.image(pose)))).collect();
+        let errors = column_errors(&d);
+        check_columns(&format!("{name}: dW/d(eps)"), errors);
+        // The motion of the template pixel: through the warp there, and back at the unmoved pose.
+        let motion: Vec<_> = pixels
+            .iter()
+            .map(|p| {
+                let back = p.warp(&pose).try_inverse().expect("not edge-on");
+                let seen = |moved: &Pose| apply(&back, &p.image(moved)).expect("in front");
+                (p.motion(&pose), differences(&pose, seen))
+            })
+            .collect();
+        let errors = column_errors(&motion);
+        check_columns(&format!("{name}: A^-1 D"), errors);
+    }
+}
+
+#[test]
+fn at_the_reference_the_jacobian_is_the_constant_one() {
+    let pose = frontal();
+    for p in pixels(&pose, 23) {
+        let difference = (p.motion(&pose) - p.d(&pose)).abs().max();
+        assert!(difference <= 1e-9 * p.d(&pose).abs().max(), "at {}: {difference:e}", p.position);
+    }
+}
+
+/// J^T Q r and J^T Q J of the pose with gain and bias eliminated, pixel by pixel.
+fn normal_equations(pose: &Pose, image: &GrayImage) -> (Matrix6<f64>, Vector6<f64>) {
+    let pixels = pixels(pose, 1);
+    let weight: f64 = pixels.iter().map(|p| p.weight).sum();
+    let mean = pixels.iter().map(|p| p.weight * p.intensity).sum::<f64>() / weight;
+    let residual = |p: &Pixel<'_>| {
+        let w = p.image(pose);
+        p.intensity - bilinear(image, w.x, w.y).expect("inside the image")
+    };
+    let (mut h, mut g) = (SMatrix::<f64, 8, 8>::zeros(), SVector::<f64, 8>::zeros());
+    for p in &pixels {
+        let row = p.row(&p.motion(pose));
+        let mut j = SVector::<f64, 8>::zeros();
+        j.fixed_rows_mut::<6>(0).copy_from(&row.transpose());
+        (j[6], j[7]) = (p.intensity - mean, 1.0);
+        h += p.weight * j * j.transpose();
+        g += p.weight * residual(p) * j;
+    }
+    let inverse = h.fixed_view::<2, 2>(6, 6).into_owned().try_inverse().expect("texture");
+    let gain = 1.0 - (inverse * g.fixed_rows::<2>(6))[0];
+    let cross = h.fixed_view::<6, 2>(0, 6) * gain;
+    let pose_block = h.fixed_view::<6, 6>(0, 0) * gain * gain;
+    (
+        pose_block - cross * inverse * cross.transpose(),
+        g.fixed_rows::<6>(0) * gain - cross * inverse * g.fixed_rows::<2>(6),
+    )
+}
+
+/// Undamped steps from a pose, without triangle weights.
+fn steps(pose: &Pose, image: &GrayImage, count: usize) -> PoseEstimate {
+    let options = Options {
+        max_iterations: count,
+        // Every step is taken, whatever becomes of the error.
+        stop_px: vec![1e9],
+        damping: 0.0,
+        robust: false,
+        full_size_grouping: Grouping::FaceAndView,
+    };
+    let mut tracker = tracker_with(&SETUP.model, SETUP.camera, cpu(), options);
+    tracker.align(image, &[start(&SETUP.model, *pose)]).expect("a good start").remove(0)
+}
+
+/// The increment between a pose and the pose one step later.
+fn increment(before: &Pose, after: &Pose) -> Vector6<f64> {
+    let c = SETUP.model.shape.centre.coords;
+    let moved = after.inverse().compose(before);
+    let mut d = moved.to_params();
+    let shift = moved.translation() - c + moved.rotation() * c;
+    d.fixed_rows_mut::<3>(0).copy_from(&shift);
+    d
+}
+
+/// Poses at which the step is looked at, and poses 2 px off.
+fn disturbed() -> Vec<(&'static str, Pose, Pose)> {
+    let points = &SETUP.renderer.object().mesh.vertices;
+    let mut disturbance = Disturbance::new(3, SETUP.camera, points, SETUP.model.shape.centre);
+    [("reference", frontal()), ("tilt", turned([0.0, 30.0, 0.0])), ("roll", turned([0.0, 0.0, 90.0]))]
+        .map(|(name, pose)| (name, pose, disturbance.apply(&pose, 2.0)))
+        .to_vec()
+}
+
+#[test]
+fn moments_stand_for_the_pixels() {
+    for (name, truth, pose) in disturbed() {
+        let image = SETUP.renderer.render(&truth);
+        let (h, g) = normal_equations(&pose, &image);
+        let at = steps(&pose, &image, 0);
+        let found = at.covariance.try_inverse().expect("determined") * (at.rms * at.rms);
+        let step = increment(&pose, &steps(&pose, &image, 1).camera_from_object);
+        let scale = h.diagonal().map(|d| 1.0 / d.sqrt());
+        let scale_h = Matrix6::from_diagonal(&scale);
+        let h_error = (scale_h * (found - h) * scale_h).abs().max();
+        let g_error = scale.component_mul(&(-found * step - g)).norm() / scale.component_mul(&g).norm();
+        say(format_args!("{name}: JtQJ {h_error:.1e}, JtQr {g_error:.1e}"));
+        assert!(h_error < MOMENTS && g_error < MOMENTS, "{name}: JtQJ {h_error:e}, JtQr {g_error:e}");
+    }
+}
+
+#[test]
+fn one_step_lowers_the_error_and_the_opposite_step_raises_it() {
+    for (name, truth, pose) in disturbed() {
+        let image = SETUP.renderer.render(&truth);
+        let next = steps(&pose, &image, 1).camera_from_object;
+        let step = increment(&pose, &next);
+        let opposite = pose.compose(&Pose::increment(&step, &SETUP.model.shape.centre));
+        let [before, after, wrong] = [pose, next, opposite].map(|p| steps(&p, &image, 0).rms);
+        say(format_args!(
+            "{name}: rms {before:.2}, a step later {after:.2}, a step the other way {wrong:.2}"
+        ));
+        assert!(after < before && before < wrong, "{name}: {before} to {after} or {wrong}");
+    }
+}
+
+/// Largest magnitude of the eigenvalues.
+fn spectral_radius(m: &Matrix6<f64>) -> f64 {
+    m.complex_eigenvalues().iter().map(|e| e.norm()).fold(0.0, f64::max)
+}
+
+/// M = (J^T Q J)^-1 J^T Q Jp of a method's rows J, where Jp are central differences of the template's motion.
+fn response(pose: &Pose, row: impl Fn(&Pixel<'_>) -> RowVector6<f64>) -> Matrix6<f64> {
+    let pixels = pixels(pose, 7);
+    let (mut jj, mut jp) = (Matrix6::zeros(), Matrix6::zeros());
+    for p in &pixels {
+        let back = p.warp(pose).try_inverse().expect("not edge-on");
+        let truth = differences(pose, |moved| apply(&back, &p.image(moved)).expect("in front"));
+        let j = row(p);
+        jj += p.weight * j.transpose() * j;
+        jp += p.weight * j.transpose() * p.row(&truth);
+    }
+    let solve = DMatrix::from_iterator(6, 6, jj.iter().copied()).cholesky().expect("texture");
+    Matrix6::from_iterator(solve.inverse().iter().copied()) * jp
+}
+
+#[test]
+fn the_constant_jacobian_does_not_converge_where_the_method_does() {
+    let constant = |p: &Pixel<'_>| p.row(&p.d(&frontal()));
+    for degrees in [[0.0, 30.0, 0.0], [30.0, 0.0, 0.0], [0.0, 0.0, 90.0], [0.0, 0.0, 0.0]] {
+        let pose = turned(degrees);
+        let own = spectral_radius(&(Matrix6::identity() - response(&pose, |p| p.row(&p.motion(&pose)))));
+        let right = spectral_radius(&(Matrix6::identity() - response(&pose, constant)));
+        // Composed on the left the step acts in the axes of the reference view.
+        let back = frontal().rotation().transpose() * pose.rotation();
+        let mut turn = Matrix6::zeros();
+        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&back.transpose());
+        turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&back.transpose());
+        let left = spectral_radius(&(Matrix6::identity() - turn * response(&pose, constant)));
+        say(format_args!("{degrees:?}: own {own:.1e}, constant J right {right:.2}, left {left:.2}"));
+        assert!(own < NOTHING_LEFT, "{degrees:?}: {own:e}");
+        match degrees {
+            [0.0, 30.0, 0.0] => assert!(right > 1.0, "right order, tilt about y: {right}"),
+            [0.0, 0.0, 90.0] => assert!(left > 1.3 && right < 0.1, "roll: left {left}, right {right}"),
+            [0.0, 0.0, 0.0] => assert!(right < NOTHING_LEFT, "at the reference: {right:e}"),
+            _ => {}
+        }
+    }
+}
