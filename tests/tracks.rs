@@ -229,7 +229,7 @@ fn a_disturbed_frame_is_noticed() -> Result<(), Failed> {
     let (sequence, model) = scene(SceneKind::Relief, 0);
     let frames = frames(&sequence, 4);
     let mut disturbed = frames.clone();
-    // Half a pixel in the depth of the scene would do; a frame of the sequence a moment later is more.
+    // The object some pixels farther on.
     disturbed[2] = sequence.image(3);
     noticed(both(&sequence, &model, &frames, &disturbed), "frame 2:")
 }
