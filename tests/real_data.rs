@@ -1,23 +1,36 @@
-//! Reads the real development sequences, where they are present: `AAM6D_DATA`, or `../shared/data` beside the
+//! Reads and tracks the real development sequences, where they are present: `AAM6D_DATA`, or `../shared/data` beside the
 //! repository. Without them every case is shown as ignored.
+
+mod support;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use aam6d::dataset::{Dataset, PoseSource, ResultRow, results};
-use aam6d::eval::{Estimate, EvalObject, evaluate};
+use aam6d::backend::Backend;
+use aam6d::dataset::{Dataset, FrameInfo, PoseSource, ResultRow, results};
+use aam6d::eval::{Estimate, EvalObject, Evaluation, evaluate};
 use aam6d::imaging::gray;
+use aam6d::track::Tracked;
+use aam6d::train::{TrainOptions, TrainingImage, train};
 use libtest_mimic::{Arguments, Failed, Trial};
+use support::tracking::{cpu, estimate, say, track, tracker};
 
 /// A case gets the folder of the data sets.
 type Case = fn(&Path) -> Result<(), Failed>;
 
-const CASES: [(&str, Case); 5] = [
+/// The goals for tracking against the reference, which was computed from the same images: corners in pixels (median
+/// and 95 %), motion since frame 0 in millimetres and degrees (medians).
+const CORNER_PX: [f64; 2] = [0.4, 0.6];
+const MOTION: [f64; 2] = [0.4, 0.12];
+
+const CASES: [(&str, Case); 7] = [
     ("teabox", teabox),
     ("teabox_stereo", teabox_stereo),
     ("franka_chessboard", franka_chessboard),
     ("results_of_a_perfect_tracker", results_of_a_perfect_tracker),
     ("robot_against_pnp", robot_against_pnp),
+    ("track_teabox", track_teabox),
+    ("track_teabox_stereo", track_teabox_stereo),
 ];
 
 fn main() {
@@ -28,7 +41,11 @@ fn main() {
         let folder = folder.clone();
         Trial::test(name, move || case(&folder)).with_ignored_flag(absent)
     };
-    libtest_mimic::run(&Arguments::from_args(), CASES.into_iter().map(trial).collect()).exit();
+    let mut trials: Vec<Trial> = CASES.into_iter().map(trial).collect();
+    #[cfg(feature = "gpu")]
+    trials
+        .push(support::gpu::trial_unless(absent, "track_teabox_alike", move || track_teabox_alike(&folder)));
+    libtest_mimic::run(&Arguments::from_args(), trials).exit();
 }
 
 fn check(condition: bool, message: impl Into<String>) -> Result<(), Failed> {
@@ -118,4 +135,57 @@ fn robot_against_pnp(folder: &Path) -> Result<(), Failed> {
     let near = |value: Option<f64>, low: f64, high: f64| value.is_some_and(|v| (low..high).contains(&v));
     check(near(e.rms_t_mm, 3.5, 5.5) && near(e.rms_r_deg, 0.35, 0.6), e.to_string())?;
     check(near(e.corner_px.median, 4.0, 8.0), e.to_string())
+}
+
+/// Trains on frame 0 of a scene with the reference poses and tracks all its frames.
+fn track_scene(
+    folder: &Path,
+    name: &str,
+    backend: Box<dyn Backend>,
+) -> Result<(Vec<Tracked>, Evaluation), Failed> {
+    let dataset = Dataset::open(folder.join(name))?;
+    let (scene, truth) = (dataset.scene(1)?, dataset.poses(1, 1, &PoseSource::Reference)?);
+    let read = |f: &FrameInfo| gray::read_sized(&f.image, f.camera.width, f.camera.height);
+    let frames = scene.frames.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    let camera = scene.frames[0].camera;
+    let first = TrainingImage { image: frames[0].clone(), camera, camera_from_object: truth[&0] };
+    let mesh = dataset.mesh(1)?;
+    let model = train(&mesh, &[first], &TrainOptions::default())?;
+    let tracked = track(&mut tracker(&model, camera, backend), truth[&0], &frames);
+    let estimates = (0..).zip(&tracked).map(|(k, t)| estimate(k, t.status, &t.estimate));
+    let estimates: Vec<Estimate> = estimates.collect();
+    let evaluation = evaluate(&estimates, &truth, &EvalObject::new(&mesh)?, &scene.cameras())?;
+    Ok((tracked, evaluation))
+}
+
+fn track_teabox(folder: &Path) -> Result<(), Failed> {
+    let (tracked, e) = track_scene(folder, "teabox", cpu())?;
+    let found = [e.corner_px.median, e.corner_px.p95, e.relative.t_mm_median, e.relative.r_deg_median];
+    let text = format!("{} of {} lost; corners, motion {found:?}", e.lost, e.frames);
+    say(format_args!("teabox: {text}"));
+    check(tracked.len() == 39 && e.frames == 39 && e.lost == 0, text.clone())?;
+    let good =
+        found.iter().zip(CORNER_PX.iter().chain(&MOTION)).all(|(f, most)| f.is_some_and(|f| f <= *most));
+    check(good, text)
+}
+
+fn track_teabox_stereo(folder: &Path) -> Result<(), Failed> {
+    let (tracked, e) = track_scene(folder, "teabox_stereo", cpu())?;
+    let text = format!("{} of {} lost; corners {:?}", e.lost, e.frames, e.corner_px);
+    say(format_args!("teabox_stereo: {text}"));
+    check(tracked.len() == 121 && e.frames == 121 && e.lost == 0, text)
+}
+
+#[cfg(feature = "gpu")]
+fn track_teabox_alike(folder: &Path) -> Result<(), Failed> {
+    let gpu = support::gpu::open(aam6d::backend::gpu::GpuOptions::default());
+    let [on_cpu, on_gpu] = [cpu(), Box::new(gpu)].map(|backend| track_scene(folder, "teabox", backend));
+    let (on_cpu, on_gpu) = (on_cpu?.0, on_gpu?.0);
+    for (k, (a, b)) in on_cpu.iter().zip(&on_gpu).enumerate() {
+        let [p, q] = [a, b].map(|t| t.estimate.camera_from_object);
+        let mm = (p.translation() - q.translation()).norm() * 1e3;
+        check(a.status == b.status, format!("frame {k}: {:?} and {:?}", a.status, b.status))?;
+        check(mm < 0.02, format!("frame {k}: {mm} mm apart"))?;
+    }
+    check(on_cpu.len() == on_gpu.len(), "as many frames")
 }

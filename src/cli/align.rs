@@ -90,11 +90,21 @@ fn read_starts(args: &Args, scene: &Scene, object: u32) -> anyhow::Result<Vec<Re
     anyhow::ensure!(!starts.is_empty(), "{file}: it has no start pose; give BOP result lines");
     for (k, start) in starts.iter().enumerate() {
         let which = format!("{file}: start {} (scene {}, image {})", k + 1, start.scene_id, start.im_id);
-        anyhow::ensure!(start.scene_id == scene.id, "{which}: the scene asked for is {}", scene.id);
-        anyhow::ensure!(start.obj_id == object, "{which}: object {}, the model is of {object}", start.obj_id);
+        anyhow::ensure!(
+            start.scene_id == scene.id,
+            "{which}: the scene asked for is {}; choose another --scene or remove the line",
+            scene.id
+        );
+        anyhow::ensure!(
+            start.obj_id == object,
+            "{which}: object {}, the model is of {object}; give the model of that object",
+            start.obj_id
+        );
         anyhow::ensure!(
             scene.frames.iter().any(|f| f.id == start.im_id),
-            "{which}: the scene has no such image"
+            "{which}: the scene has no such image; its images go from {} to {}",
+            scene.frames[0].id,
+            scene.frames[scene.frames.len() - 1].id
         );
     }
     Ok(starts)

@@ -72,7 +72,8 @@ fn read_iterations(path: &Path) -> anyhow::Result<BTreeMap<u32, f64>> {
     lines
         .map(|(k, line)| {
             let line: Line = serde_json::from_str(line).with_context(|| {
-                format!("{}:{}: not a line of `aam6d track --details`", path.display(), k + 1)
+                let place = format!("{}:{}", path.display(), k + 1);
+                format!("{place}: not a line of details; give a file of `aam6d track --details`")
             })?;
             Ok((line.frame, line.iterations))
         })

@@ -42,7 +42,14 @@ pub(super) fn read(frame: &FrameInfo) -> anyhow::Result<GrayImage> {
 /// The pose of a frame, or an error that says what is missing.
 pub(super) fn pose_of(poses: &BTreeMap<u32, Pose>, frame: u32, source: &PoseSource) -> anyhow::Result<Pose> {
     poses.get(&frame).copied().with_context(|| {
-        format!("{source:?} has no pose for frame {frame}; choose another frame or give the poses with gt, ref or a file")
+        let name = match source {
+            PoseSource::GroundTruth => "scene_gt.json".into(),
+            PoseSource::Reference => "scene_ref.json".into(),
+            PoseSource::File(path) => path.to_string_lossy(),
+        };
+        format!(
+            "{name}: no pose for frame {frame}; choose another frame or give the poses with gt, ref or a file"
+        )
     })
 }
 

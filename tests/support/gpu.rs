@@ -45,6 +45,17 @@ pub(crate) fn trial(
     Trial::test(name, run).with_kind("gpu").with_ignored_flag(!*PRESENT && !required)
 }
 
+/// A test that needs an adapter and something else, and is ignored where that is `absent`.
+pub(crate) fn trial_unless(
+    absent: bool,
+    name: impl Into<String>,
+    test: impl FnOnce() -> Result<(), Failed> + Send + 'static,
+) -> Trial {
+    let trial = trial(name, test);
+    let ignored = absent || trial.has_ignored_flag();
+    trial.with_ignored_flag(ignored)
+}
+
 /// Runs the tests.
 pub(crate) fn main(trials: Vec<Trial>) -> ExitCode {
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()

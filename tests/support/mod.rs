@@ -1,9 +1,11 @@
-//! What the tests of the stages share.
+//! What the tests share.
 
 #![allow(dead_code, unused_imports, reason = "every test program uses its own part")]
 
+#[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod scene;
 pub(crate) mod sums;
+pub(crate) mod tracking;
 
 pub(crate) use scene::{Scene, image};
