@@ -137,7 +137,7 @@ fn moments_stand_for_the_pixels() {
         let image = SETUP.renderer.render(&truth);
         let (h, g) = normal_equations(&pose, &image);
         let at = steps(&pose, &image, 0);
-        let found = at.covariance.try_inverse().expect("determined") * (at.rms * at.rms);
+        let found = at.hessian;
         let step = increment(&pose, &steps(&pose, &image, 1).camera_from_object);
         let scale = h.diagonal().map(|d| 1.0 / d.sqrt());
         let scale_h = Matrix6::from_diagonal(&scale);

@@ -123,6 +123,7 @@ impl InverseCompositional {
             PoseEstimate {
                 score: Score::new(scored.level, &evaluator.rows(k), &visibility, &state.appearance),
                 covariance: covariance(&problem, &state, &rows, &weights, &equations),
+                hessian: equations.pose_hessian(),
                 rms: if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 },
                 camera_from_object: state.pose,
                 appearance: state.appearance,

@@ -53,6 +53,9 @@ pub struct PoseEstimate {
     /// [`crate::model::Shape::centre`]; [`to_ros_order`] turns it into the camera frame. Zero where the pose is not
     /// determined.
     pub covariance: Matrix6<f64>,
+    /// `JtQJ` of the increment (object axes about the centre, metres and radians) after gain, bias and appearance are
+    /// eliminated: what the image says about the pose. Zero where the pose is not determined.
+    pub hessian: Matrix6<f64>,
     /// Weighted root mean square residual after gain and bias, grey levels.
     pub rms: f64,
     /// Solved Levenberg-Marquardt steps over all levels.

@@ -137,6 +137,17 @@ impl NormalEquations {
         sum
     }
 
+    /// Pose block of JtQJ after the appearance parameters are eliminated; zero where they are not determined.
+    pub(super) fn pose_hessian(&self) -> Matrix6<f64> {
+        let l = self.gradient.len() - 6;
+        let pose = self.hessian.fixed_view::<6, 6>(0, 0).into_owned();
+        let coupling = self.hessian.view((0, 6), (6, l));
+        let appearance = self.hessian.view((6, 6), (l, l)).into_owned();
+        let Some(factor) = appearance.cholesky() else { return Matrix6::zeros() };
+        let explained = coupling * factor.solve(&coupling.transpose());
+        pose - explained.fixed_view::<6, 6>(0, 0)
+    }
+
     fn prior(appearance: &[f64]) -> Self {
         let n = 6 + appearance.len();
         let mut prior = Self {
