@@ -95,7 +95,7 @@ fn simulate_and_train_say_what_they_made() {
     let members =
         ["model", "object", "triangles", "triangles_with_chart", "reference_views", "template_px", "modes"];
     check_members("train", &t, &members);
-    assert_eq!(t["template_px"].as_array().map(Vec::len), Some(3), "three levels: {t}");
+    assert_eq!(t["template_px"].as_array().map(Vec::len), Some(4), "four levels: {t}");
     assert_eq!(names(&out), ["data", "model.aam6d"], "nothing else is left");
 }
 
