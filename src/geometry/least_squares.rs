@@ -31,7 +31,7 @@ pub(super) fn minimise<S: Clone>(
     let mut current = residuals(&state)?;
     let mut damping = FIRST_DAMPING;
     for _ in 0..MAX_STEPS {
-        let jacobian = jacobian(&state, dof, &retract, &residuals)?;
+        let jacobian = jacobian_at(&state, dof, &retract, &residuals)?;
         let (normal, gradient) = (jacobian.tr_mul(&jacobian), jacobian.tr_mul(&current));
         let mut moved = false;
         while damping < LARGEST_DAMPING {
@@ -51,12 +51,12 @@ pub(super) fn minimise<S: Clone>(
             break;
         }
     }
-    let jacobian = self::jacobian(&state, dof, &retract, &residuals)?;
+    let jacobian = jacobian_at(&state, dof, &retract, &residuals)?;
     let normal = jacobian.tr_mul(&jacobian);
     normal.iter().all(|v| v.is_finite()).then_some(Fit { state, residuals: current, normal })
 }
 
-fn jacobian<S>(
+fn jacobian_at<S>(
     state: &S,
     dof: usize,
     retract: &impl Fn(&S, &DVector<f64>) -> S,
