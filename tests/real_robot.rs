@@ -65,8 +65,8 @@ fn images(scene: &Scene, poses: &BTreeMap<u32, Pose>, frames: &[u32]) -> Result<
     Ok(images)
 }
 
-fn tracker(mesh: &TriangleMesh, images: &[TrainingImage]) -> Result<Tracker, Failed> {
-    let model = train(mesh, images, &TrainOptions::default())?;
+fn tracker(mesh: &TriangleMesh, images: &[TrainingImage], levels: usize) -> Result<Tracker, Failed> {
+    let model = train(mesh, images, &TrainOptions { levels, ..TrainOptions::default() })?;
     let aligner = Box::new(InverseCompositional::default());
     Ok(Tracker::new(model, images[0].camera, Box::new(CpuBackend::new()), aligner)?)
 }
@@ -127,7 +127,7 @@ fn franka_alignment(folder: &Path) -> Result<(), Failed> {
     let mesh = dataset.mesh(1)?;
     let object = EvalObject::new(&mesh)?;
     let mut shares = Vec::new();
-    for others in [false, true] {
+    for (others, levels) in [(false, 3), (true, 3), (true, 4), (true, 5)] {
         let mut good = 0;
         for frame in &scene.frames {
             let truth = poses[&frame.id];
@@ -137,7 +137,7 @@ fn franka_alignment(folder: &Path) -> Result<(), Failed> {
                 training.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
                 training.truncate(1);
             }
-            let mut tracker = tracker(&mesh, &images(&scene, &poses, &training)?)?;
+            let mut tracker = tracker(&mesh, &images(&scene, &poses, &training)?, levels)?;
             let mut rng = ChaCha8Rng::seed_from_u64(u64::from(frame.id));
             let starts: Vec<Start> = (0..20)
                 .map(|_| {
@@ -166,7 +166,10 @@ fn franka_alignment(folder: &Path) -> Result<(), Failed> {
                 frame.id
             ));
         }
-        figure(&format!("trained on {}: {good}/160", if others { "all other frames" } else { "one frame" }));
+        figure(&format!(
+            "{levels} levels, trained on {}: {good}/160",
+            if others { "all other frames" } else { "one frame" }
+        ));
         shares.push(good);
     }
     check(shares[1] >= FRANKA_GOOD, format!("{shares:?} of 160 starts"))
@@ -199,7 +202,7 @@ fn clicks(dataset: &Dataset, pair: [&gray::GrayImage; 2], stereo: &Path) -> Resu
             s.iter().all(|v| *v >= 0.0) || s.iter().all(|v| *v <= 0.0)
         })
     };
-    let found = corners::corners(pair[0], 200, 12.0, inside);
+    let found = corners::corners(pair[0], 120, 16.0, inside);
     let mut clicks = Vec::new();
     for (k, left) in found.iter().enumerate() {
         if let Some(right) = corners::partner(&rig, pair, left, [0.3, 0.6]) {
@@ -234,11 +237,26 @@ fn teabox_stereo_landmarks(folder: &Path) -> Result<(), Failed> {
         percentile(&distances, 95.0)
     ));
     let shape: Vec<Point3<f64>> = points.iter().map(|p| p.position).collect();
+    let truth = dataset.poses(1, 1, &PoseSource::Reference)?[&0].inverse();
+    let box_mesh = dataset.mesh(1)?;
+    let off: Vec<f64> = shape
+        .iter()
+        .map(|x| {
+            let x = truth.transform_point(x);
+            let plane = |t: usize| box_mesh.normal(t).normalize().dot(&(x - box_mesh.corners(t)[0])) * 1000.0;
+            (0..box_mesh.triangles.len())
+                .map(plane)
+                .fold(f64::MAX, |b, d| if d.abs() < b.abs() { d } else { b })
+        })
+        .collect();
+    figure(&format!("landmarks off the reference box, mm: median {:.2?}", median(&off)));
+    let off: Vec<f64> = off.iter().map(|d| d.abs()).collect();
+    figure(&format!("  magnitude median {:.2?}, 95 % {:.2?}", median(&off), percentile(&off, 95.0)));
     // The object frame is that of the left camera at frame 0.
     let start = Pose::new(Rotation3::identity(), Vector3::zeros());
     let mesh = landmark_mesh(&shape, &rig.left, &start)?;
     let image = TrainingImage { image: first, camera: left.frames[0].camera, camera_from_object: start };
-    let mut tracker = tracker(&mesh, &[image])?;
+    let mut tracker = tracker(&mesh, &[image], 3)?;
     tracker.start_at(start);
     let reference = dataset.poses(1, 1, &PoseSource::Reference)?;
     let centre = EvalObject::new(&dataset.mesh(1)?)?.centre();

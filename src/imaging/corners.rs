@@ -2,7 +2,7 @@
 //! without a person.
 
 use image::GrayImage;
-use nalgebra::{Point2, Point3, Vector2};
+use nalgebra::{Point2, Point3, Vector2, Vector4};
 
 use super::sample::bilinear;
 use crate::geometry::StereoRig;
@@ -10,7 +10,7 @@ use crate::geometry::StereoRig;
 /// Half the side of the window of the structure tensor, pixels.
 const TENSOR_RADIUS: i64 = 3;
 /// Half the side of the patches that are compared, pixels.
-const PATCH_RADIUS: i64 = 6;
+const PATCH_RADIUS: i64 = 8;
 /// Partners must correlate at least this well.
 const MIN_CORRELATION: f64 = 0.9;
 /// Step along the epipolar line, pixels.
@@ -66,7 +66,7 @@ fn strength(image: &GrayImage, u: i64, v: i64) -> f64 {
 }
 
 /// The pixel of the right image that shows what the left one shows around `left`: best correlation along the epipolar
-/// line between two depths (metres), then to a fraction of a pixel in both directions. `None` if nothing correlates
+/// line between two depths (metres), then to a fraction of a pixel in both directions, the surface's slope included. `None` if nothing correlates
 /// well or the best place is at the end of the search.
 pub fn partner(
     rig: &StereoRig,
@@ -80,44 +80,55 @@ pub fn partner(
     };
     let length = (at(left, depths[0])? - at(left, depths[1])?).norm();
     let steps = (1..).take_while(|k| f64::from(*k) * SEARCH_STEP_PX < length);
+    // Shift along u and v (pixels) and slope of the surface along u and v (change of inverse depth per pixel).
+    let shown = |p: &Point2<f64>, depth: f64, by: &Vector4<f64>| {
+        let inverse = 1.0 / depth + (p.x - left.x) * by.z + (p.y - left.y) * by.w;
+        Some(at(p, 1.0 / inverse)? + Vector2::new(by.x, by.y))
+    };
+    let score = |depth: f64, by: &Vector4<f64>| correlation(images, left, |p| shown(p, depth, by));
     let mut best: Option<(f64, f64)> = None;
     for k in steps {
         let share = f64::from(k) * SEARCH_STEP_PX / length;
         let depth = 1.0 / ((1.0 - share) / depths[0] + share / depths[1]);
-        let score = correlation(images, left, |p| at(p, depth), &Vector2::zeros());
-        if let Some(score) = score.filter(|s| best.is_none_or(|(b, _)| *s > b)) {
-            best = Some((score, depth));
+        let here = score(depth, &Vector4::zeros());
+        if let Some(here) = here.filter(|s| best.is_none_or(|(b, _)| *s > b)) {
+            best = Some((here, depth));
         }
     }
     let (_, depth) = best.filter(|(score, _)| *score > MIN_CORRELATION - 0.1)?;
-    let score = |shift: &Vector2<f64>| correlation(images, left, |p| at(p, depth), shift);
-    let mut shift = Vector2::zeros();
-    for _ in 0..4 {
-        let here = score(&shift)?;
-        for axis in [Vector2::x(), Vector2::y()] {
-            let (before, after) = (score(&(shift - axis * 0.5))?, score(&(shift + axis * 0.5))?);
+    // A step moves the patch, or its border, by half a pixel.
+    #[expect(clippy::cast_precision_loss, reason = "a small number")]
+    let slope = 0.5 / PATCH_RADIUS as f64 * (1.0 / depths[0] - 1.0 / depths[1]).abs() / length;
+    let steps = Vector4::new(0.5, 0.5, slope, slope);
+    let mut by = Vector4::zeros();
+    for _ in 0..8 {
+        for axis in 0..4 {
+            let mut step = Vector4::zeros();
+            step[axis] = steps[axis];
+            let (before, here, after) =
+                (score(depth, &(by - step))?, score(depth, &by)?, score(depth, &(by + step))?);
             let bend = before - 2.0 * here + after;
             if bend < 0.0 {
-                shift += axis * (0.25 * (before - after) / bend).clamp(-0.5, 0.5);
+                by += step * (0.5 * (before - after) / bend).clamp(-1.0, 1.0);
             }
         }
     }
-    (score(&shift)? > MIN_CORRELATION && shift.norm() < 3.0).then_some(at(left, depth)? + shift)
+    let shift = Vector2::new(by.x, by.y).norm();
+    (score(depth, &by)? > MIN_CORRELATION && shift < 3.0).then(|| shown(left, depth, &by)).flatten()
 }
 
-/// Normalised correlation of the patch around `left` with its image under `warp` and a shift.
+/// Normalised correlation of the patch around `left` with its image under `warp`.
 fn correlation(
     images: [&GrayImage; 2],
     left: &Point2<f64>,
     warp: impl Fn(&Point2<f64>) -> Option<Point2<f64>>,
-    shift: &Vector2<f64>,
 ) -> Option<f64> {
     let mut sums = [0.0; 6];
     for j in -PATCH_RADIUS..=PATCH_RADIUS {
         for i in -PATCH_RADIUS..=PATCH_RADIUS {
             #[expect(clippy::cast_precision_loss, reason = "pixel numbers are small")]
             let p = left + Vector2::new(i as f64, j as f64);
-            let q = warp(&p)? + shift;
+            let q = warp(&p)?;
             let (a, b) = (bilinear(images[0], p.x, p.y)?, bilinear(images[1], q.x, q.y)?);
             let terms = [1.0, a, b, a * a, b * b, a * b];
             sums.iter_mut().zip(terms).for_each(|(s, t)| *s += t);
