@@ -1,15 +1,18 @@
 //! `aam6d eval`: poses against a reference.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
-use serde::Deserialize;
 
+use super::details::{self, Details};
 use super::frames::SceneArgs;
 use super::summary::JsonArg;
 use crate::dataset::{PoseSource, results, robot};
-use crate::eval::{Estimate, EvalObject, RobotCell, evaluate, evaluate_in_cell};
+use crate::eval::consistency::normalised_error_squared;
+use crate::eval::errors::{is_lost, rotation_error_deg, translation_error_mm};
+use crate::eval::{Estimate, EvalObject, NormalisedError, RobotCell, evaluate, evaluate_in_cell};
+use crate::geometry::Pose;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -23,7 +26,7 @@ pub(super) struct Args {
     /// BOP object id; needed if the results hold several
     #[arg(long)]
     object: Option<u32>,
-    /// Details file of `aam6d track`, for the iterations
+    /// Details file of `aam6d track`, for iterations and covariances
     #[arg(long, value_name = "FILE")]
     details: Option<PathBuf>,
     /// Robot poses, as in `scene_robot.json`: also judge the motion of the end-effector against the robot
@@ -63,7 +66,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     );
     let truth = dataset.poses(scene.id, object_id, &args.poses)?;
     let object = EvalObject::new(&dataset.mesh(object_id)?)?;
-    let iterations = args.details.as_deref().map(read_iterations).transpose()?.unwrap_or_default();
+    let details: Option<BTreeMap<u32, Details>> = args
+        .details
+        .as_deref()
+        .map(|path| Ok::<_, anyhow::Error>(details::read(path)?.into_iter().map(|d| (d.frame, d)).collect()))
+        .transpose()?;
     let estimates: Vec<Estimate> = rows
         .iter()
         .map(|r| Estimate {
@@ -71,32 +78,30 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
             pose: r.pose,
             score: r.score,
             time_s: r.time_s,
-            iterations: iterations.get(&r.im_id).copied(),
+            iterations: details.as_ref().and_then(|d| Some(d.get(&r.im_id)?.iterations)),
         })
         .collect();
-    let evaluation = match args.cell()? {
+    let mut evaluation = match args.cell()? {
         Some(cell) => evaluate_in_cell(&estimates, &truth, &object, &scene.cameras(), &cell)?,
         None => evaluate(&estimates, &truth, &object, &scene.cameras())?,
     };
+    evaluation.normalised_error_squared = details.map(|d| consistency(&estimates, &truth, &object, &d));
     args.json.write(&evaluation.to_string(), &evaluation)
 }
 
-/// Iterations by frame from a details file.
-fn read_iterations(path: &Path) -> anyhow::Result<BTreeMap<u32, f64>> {
-    #[derive(Deserialize)]
-    struct Line {
-        frame: u32,
-        iterations: f64,
-    }
-    let text = crate::dataset::file::read_text(path)?;
-    let lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
-    lines
-        .map(|(k, line)| {
-            let line: Line = serde_json::from_str(line).with_context(|| {
-                let place = format!("{}:{}", path.display(), k + 1);
-                format!("{place}: not a line of details; give a file of `aam6d track --details`")
-            })?;
-            Ok((line.frame, line.iterations))
-        })
-        .collect()
+/// Normalised error squared over the frames that are tracked by the rule of the evaluation.
+fn consistency(
+    estimates: &[Estimate],
+    truth: &BTreeMap<u32, Pose>,
+    object: &EvalObject,
+    details: &BTreeMap<u32, Details>,
+) -> NormalisedError {
+    let normalised = |e: &Estimate| {
+        let truth = truth.get(&e.frame)?;
+        let t = translation_error_mm(&e.pose, truth, &object.centre()).norm();
+        let tracked = !is_lost(t, rotation_error_deg(&e.pose, truth).norm(), e.score);
+        let covariance = details.get(&e.frame).filter(|_| tracked)?.covariance()?;
+        normalised_error_squared(&e.pose, truth, &covariance)
+    };
+    NormalisedError::of(&estimates.iter().filter_map(normalised).collect::<Vec<_>>())
 }

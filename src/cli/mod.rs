@@ -3,6 +3,7 @@
 mod align;
 mod backend;
 mod demo;
+mod details;
 mod eval;
 mod frames;
 mod hand_eye;

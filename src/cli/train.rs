@@ -5,18 +5,29 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde::Serialize;
 
+use super::details::{self, Details};
 use super::frames::{SceneArgs, annotated_images, training_images};
 use super::summary::JsonArg;
-use crate::dataset::{PoseSource, Scene, landmarks};
+use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
 use crate::model::Model;
-use crate::train::{TrainOptions, annotated, train};
+use crate::track::Status;
+use crate::train::{TrainOptions, annotated, extend, train};
+
+/// A model is extended from poses at least this certain: standard deviation per axis in the camera frame.
+const CERTAIN_MM: f64 = 0.5;
+/// The same for rotations.
+const CERTAIN_DEG: f64 = 0.2;
+/// And with at least this median correlation.
+const CERTAIN_CORRELATION: f64 = 0.8;
+/// More frames than this add memory, not knowledge.
+const MAX_EXTENSION_FRAMES: usize = 40;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     scene: SceneArgs,
     /// Frames to train on; with --annotations all annotated ones unless given
-    #[arg(long, value_name = "I,J,..", value_delimiter = ',', required_unless_present = "annotations")]
+    #[arg(long, value_name = "I,J,..", value_delimiter = ',', required_unless_present_any = ["annotations", "extend"])]
     frames: Vec<u32>,
     /// Landmarks in every training frame (annotations.json): poses come from them, and the mesh from --landmarks
     #[arg(long, value_name = "FILE", requires = "landmarks", conflicts_with = "poses")]
@@ -27,6 +38,13 @@ pub(super) struct Args {
     /// Refuse annotations further than this from where their landmark should be
     #[arg(long, value_name = "PX", default_value_t = 10.0)]
     max_annotation_error: f64,
+    /// Add views to this model instead of training a new one, from frames tracked with it: --poses is the results file,
+    /// --details says which of its poses are certain
+    #[arg(long, value_name = "MODEL", requires = "details", conflicts_with_all = ["annotations", "modes"])]
+    extend: Option<PathBuf>,
+    /// Details file of `aam6d track`, for --extend
+    #[arg(long, value_name = "FILE", requires = "extend")]
+    details: Option<PathBuf>,
     /// BOP object id
     #[arg(long, default_value_t = 1)]
     object: u32,
@@ -94,6 +112,18 @@ impl Args {
         frames
     }
 
+    /// More views for a model, from frames whose pose is certain.
+    fn extend_model(&self, dataset: &Dataset, scene: &Scene) -> anyhow::Result<Model> {
+        let (Some(model), Some(details)) = (&self.extend, &self.details) else {
+            anyhow::bail!("--extend needs --details, to tell which poses are certain");
+        };
+        let model = Model::load(model)?;
+        let poses = dataset.poses(scene.id, model.object_id, &self.poses)?;
+        let frames = certain_frames(details, scene.id, &self.chosen_frames())?;
+        let images = training_images(scene, &poses, &self.poses, &frames)?;
+        Ok(extend(&model, &images, &self.options())?)
+    }
+
     /// Poses and mesh from the landmarks.
     fn train_annotated(
         &self,
@@ -117,10 +147,40 @@ impl Args {
     }
 }
 
+/// Frames of the scene whose pose is certain, thinned to at most [`MAX_EXTENSION_FRAMES`].
+fn certain_frames(details: &Path, scene: u32, wanted: &[u32]) -> anyhow::Result<Vec<u32>> {
+    let mut frames: Vec<u32> = details::read(details)?
+        .iter()
+        .filter(|d| d.scene_id == scene && is_certain(d))
+        .map(|d| d.frame)
+        .filter(|f| wanted.is_empty() || wanted.contains(f))
+        .collect();
+    let file = details.display();
+    anyhow::ensure!(
+        !frames.is_empty(),
+        "{file}: no frame of scene {scene} has a certain pose; track more frames"
+    );
+    let step = frames.len().div_ceil(MAX_EXTENSION_FRAMES);
+    frames = frames.into_iter().step_by(step).collect();
+    Ok(frames)
+}
+
+/// Tracked, well recognised, and with a small covariance.
+fn is_certain(d: &Details) -> bool {
+    let deviation = |c: &nalgebra::Matrix6<f64>, axes: std::ops::Range<usize>| {
+        axes.map(|k| c[(k, k)]).fold(0.0, f64::max).sqrt()
+    };
+    let small = d.covariance().is_some_and(|c| {
+        deviation(&c, 0..3) * 1e3 <= CERTAIN_MM && deviation(&c, 3..6).to_degrees() <= CERTAIN_DEG
+    });
+    d.status == Status::Tracking && d.correlation >= CERTAIN_CORRELATION && small
+}
+
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let (dataset, scene) = args.scene.open()?;
     let (model, annotated) = match args.annotations.as_deref().zip(args.landmarks.as_deref()) {
         Some((annotations, shape)) => args.train_annotated(&scene, annotations, shape)?,
+        None if args.extend.is_some() => (args.extend_model(&dataset, &scene)?, Vec::new()),
         None => {
             let poses = dataset.poses(scene.id, args.object, &args.poses)?;
             let mesh = dataset.mesh(args.object)?;

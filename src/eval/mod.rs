@@ -3,6 +3,7 @@
 //! Errors are in millimetres, degrees and pixels, and their names say which. The axes are those of the camera:
 //! x right, y down, z along the view.
 
+pub mod consistency;
 pub mod errors;
 pub mod frames;
 pub mod report;
@@ -10,6 +11,7 @@ pub mod robot;
 pub mod statistics;
 mod table;
 
+pub use consistency::NormalisedError;
 pub use errors::EvalObject;
 pub use frames::{Estimate, FrameErrors};
 pub use report::{Evaluation, evaluate, evaluate_in_cell};

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::consistency::NormalisedError;
 use super::errors::{self, EvalObject};
 use super::frames::{Estimate, FrameErrors, PoseErrors, frame_errors};
 use super::robot::{RobotCell, RobotErrors, robot_errors};
@@ -46,6 +47,9 @@ pub struct Evaluation {
     pub ms_per_frame: Typical,
     /// Mean number of iterations per estimate.
     pub iterations_mean: Option<f64>,
+    /// Normalised error squared of the tracked frames; where covariances were given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub normalised_error_squared: Option<NormalisedError>,
     /// Motion of the end-effector against the robot; only with robot poses and a hand-eye transform.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<RobotErrors>,

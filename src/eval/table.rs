@@ -31,6 +31,10 @@ impl Display for Evaluation {
         let time = &self.ms_per_frame;
         line(f, "time per frame", &[("median", time.median, "ms"), ("95 %", time.p95, "ms")])?;
         line(f, "iterations, mean", &[("", self.iterations_mean, "")])?;
+        if let Some(normalised) = &self.normalised_error_squared {
+            let values = [("mean", normalised.mean, "(6 expected)"), ("median", normalised.median, "")];
+            line(f, "error / covariance", &values)?;
+        }
         self.robot.as_ref().map_or(Ok(()), |robot| robot_table(f, robot))
     }
 }
