@@ -113,14 +113,15 @@ fn tolerance(scene: &Scene, item: usize, triangle: usize) -> Row {
         for (axis, x) in [w.x / w.z, w.y / w.z].into_iter().enumerate() {
             if (x - x.round()).abs() < BORDER {
                 // The gradient jumps there: both sides are right.
-                let mut other = *warp;
-                let shift = 2.0 * (x.round() - x);
-                let moved = other.image_from_chart.row(axis) + shift * other.image_from_chart.row(2);
-                other.image_from_chart.set_row(axis, &moved);
-                let across = pixel_row(scene, item, pixel, &other);
-                let outside = across[8] == 0.0;
-                let jumps = row.iter().zip(&across).map(|(a, b)| (a - b).abs());
-                sum.iter_mut().zip(jumps).filter(|_| !outside).for_each(|(sum, jump)| *sum += 1.5 * jump);
+                for shift in [-2.0 * BORDER, 2.0 * BORDER] {
+                    let mut other = *warp;
+                    let moved = other.image_from_chart.row(axis) + shift * other.image_from_chart.row(2);
+                    other.image_from_chart.set_row(axis, &moved);
+                    let across = pixel_row(scene, item, pixel, &other);
+                    let inside = SumsRow(&across).count() > 0.0;
+                    let jumps = row.iter().zip(&across).map(|(a, b)| (a - b).abs());
+                    sum.iter_mut().zip(jumps).filter(|_| inside).for_each(|(sum, jump)| *sum += jump);
+                }
             }
         }
     }
