@@ -87,7 +87,10 @@ impl Scene {
         let start = |(turn, shift): (Vector3<f64>, Vector3<f64>)| {
             let moved = |size: f64| pose.compose(&Pose::about(turn * size, shift * size, &centre));
             let size = 1e-3 * DISTURBANCE_PX / self.distance_px(pose, &moved(1e-3));
-            Start { camera_from_object: moved(size), appearance: Vec::new() }
+            let start = moved(size);
+            let px = self.distance_px(pose, &start);
+            assert!((px / DISTURBANCE_PX - 1.0).abs() < 0.1, "a start is {px} px off");
+            Start { camera_from_object: start, appearance: Vec::new() }
         };
         directions.map(start).collect()
     }
