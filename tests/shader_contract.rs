@@ -12,9 +12,11 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, Literal, Module, StorageAccess, TypeInner};
 
 const STAGES: [Stage; 3] = [DOWNSAMPLE, ACCUMULATE, LINEARIZE];
+/// A stage and its planes of sums by mode planes.
+type ChartStage = (Stage, fn(u32) -> u32);
+
 /// The stages that add up chunks of charts, and how many planes of sums the host thinks they have.
-const CHART_STAGES: [(Stage, fn(u32) -> u32); 2] =
-    [(ACCUMULATE, accumulate_planes), (LINEARIZE, linearize_planes)];
+const CHART_STAGES: [ChartStage; 2] = [(ACCUMULATE, accumulate_planes), (LINEARIZE, linearize_planes)];
 const MODE_PLANES: [u32; 6] = [0, 1, 2, 3, 4, 16];
 
 fn parse(text: &str) -> Module {
@@ -136,7 +138,7 @@ fn bindings_are_the_ones_the_host_makes() {
     }
 }
 
-fn constants_of((stage, planes): (Stage, fn(u32) -> u32), mode_planes: u32) {
+fn constants_of((stage, planes): ChartStage, mode_planes: u32) {
     let module = parse(&stage.text(mode_planes));
     let value = |name: &str| {
         let (_, constant) = module
@@ -161,7 +163,7 @@ fn constants_agree() {
     }
 }
 
-fn workgroup_of((stage, planes): (Stage, fn(u32) -> u32), partition: Partition, mode_planes: u32) {
+fn workgroup_of((stage, planes): ChartStage, partition: Partition, mode_planes: u32) {
     let workgroup = partition.workgroup_for(planes(mode_planes));
     assert!(workgroup.is_multiple_of(REDUCE) && workgroup <= 256, "workgroups of {workgroup}");
     let module = with_workgroup(&stage, mode_planes, workgroup);

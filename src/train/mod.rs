@@ -77,8 +77,7 @@ impl TrainOptions {
             let problem = format!("{} modes from {images} image(s)", self.modes);
             return refuse(problem, "use fewer modes than images");
         }
-        // Written so that NaN is refused.
-        if !(self.max_edge_px >= 4.0) {
+        if self.max_edge_px.is_nan() || self.max_edge_px < 4.0 {
             return refuse(format!("edges of at most {} px", self.max_edge_px), "use 4 px or more");
         }
         Ok(())
