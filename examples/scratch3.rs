@@ -39,7 +39,7 @@ fn main() {
             }
             let crb = m.try_inverse().unwrap() * (noise * noise + 1.0 / 12.0);
             t2 += (crb[(0, 0)] + crb[(1, 1)] + crb[(2, 2)]) * 1e6;
-            r2 += (crb[(3, 3)] + crb[(4, 4)] + crb[(5, 5)]) * (180.0f64 / 3.14159265).powi(2);
+            r2 += (crb[(3, 3)] + crb[(4, 4)] + crb[(5, 5)]) * (180.0f64 / std::f64::consts::PI).powi(2);
             n += 1.0;
             ax += crb.diagonal();
         }

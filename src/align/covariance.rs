@@ -2,8 +2,7 @@
 
 use nalgebra::{DMatrix, Matrix3, Matrix6, Point3};
 
-use super::levenberg_marquardt::State;
-use super::normal_equations::{self, LevelProblem, NormalEquations, Rows};
+use super::normal_equations::NormalEquations;
 use crate::geometry::Pose;
 use crate::geometry::pose::skew;
 
@@ -12,32 +11,40 @@ use crate::geometry::pose::skew;
 /// show in the sums of whole triangles, while the textbook `s^2 H^-1` takes every pixel for an independent witness. Zero
 /// where the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and
 /// radians.
-pub(super) fn covariance(
-    problem: &LevelProblem<'_>,
-    state: &State,
-    rows: &Rows<'_>,
-    weights: &[f64],
-    equations: &NormalEquations,
-) -> Matrix6<f64> {
+pub(super) fn covariance(equations: &NormalEquations) -> Matrix6<f64> {
     // Columns differ by orders of magnitude (metres, radians): normalise before inverting.
     let scale = equations.hessian.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
     let scale = DMatrix::from_diagonal(&scale);
-    let Some(factor) = (&scale * &equations.hessian * &scale).cholesky() else { return Matrix6::zeros() };
-    let parts =
-        normal_equations::triangle_gradients(problem, &state.pose, rows, weights, state.appearance.len());
-    let (n, p) = (parts.len(), scale.nrows());
-    if n <= p {
-        return Matrix6::zeros();
-    }
-    let mut meat = DMatrix::zeros(p, p);
-    for part in &parts {
-        let part = &scale * part;
-        meat.ger(1.0, &part, &part, 1.0);
-    }
+    let (n, p) = (equations.triangles, scale.nrows());
+    let factor = (&scale * &equations.hessian * &scale).cholesky();
+    let Some(factor) = factor.filter(|_| n > p) else { return Matrix6::zeros() };
+    let scatter = &scale * &equations.scatter * &scale;
     #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
     let few_clusters = n as f64 / (n - p) as f64;
-    let covariance = &scale * factor.solve(&factor.solve(&meat).transpose()) * &scale * few_clusters;
+    let covariance = &scale * factor.solve(&factor.solve(&scatter).transpose()) * &scale * few_clusters;
     covariance.fixed_view::<6, 6>(0, 0).into_owned()
+}
+
+/// The hessian that belongs to a covariance made of it and a residual variance; zero where that is not known.
+pub(super) fn hessian_of(covariance: &Matrix6<f64>, variance: f64) -> Matrix6<f64> {
+    covariance.try_inverse().map_or_else(Matrix6::zeros, |inverse| inverse * variance)
+}
+
+/// The covariance of an increment on the left about the camera's origin, `[tx ty tz rx ry rz]` in the axes of the
+/// camera, turned into that of one on the right about `centre` in object axes, which [`to_ros_order`] takes.
+pub(super) fn from_reference_axes(
+    covariance: &Matrix6<f64>,
+    camera_from_object: &Pose,
+    centre: &Point3<f64>,
+) -> Matrix6<f64> {
+    // The centre moves by t + w x c = t - [c]x w in the camera; seen in object axes that is R^T times it.
+    let r: Matrix3<f64> = camera_from_object.rotation().transpose();
+    let c = camera_from_object.transform_point(centre);
+    let mut j = Matrix6::zeros();
+    j.fixed_view_mut::<3, 3>(0, 0).copy_from(&r);
+    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-r * skew(&c.coords)));
+    j.fixed_view_mut::<3, 3>(3, 3).copy_from(&r);
+    j * covariance * j.transpose()
 }
 
 /// The covariance in ROS order `x y z rotX rotY rotZ` (metres, radians, fixed axes of the camera frame): errors of

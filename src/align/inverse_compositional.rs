@@ -1,21 +1,17 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
-use super::covariance::covariance;
-use super::evaluator::{Evaluator, visibility};
+use super::evaluator::{End, Evaluator, check, finish, states_of, visibility};
 use super::levenberg_marquardt::{Descent, Settings, State, Stop};
-use super::normal_equations::{LevelProblem, Rows};
-use super::photometric::{Grouping, Groups};
+use super::normal_equations::LevelProblem;
+use super::photometric::Grouping;
 use super::robust::Redescent;
-use super::score::Score;
 use super::{Aligner, PoseEstimate, Start, Target};
-use crate::backend::{Backend, Sums};
-use crate::error::{Error, Result};
+use crate::backend::Backend;
+use crate::error::Result;
 use crate::model::Model;
 
 /// Pyramid level on which a prediction is picked up; coarser ones are for the search.
 const COARSEST_TRACKED: usize = 2;
-/// Pyramid level on which template and image are correlated: at full size heavy noise hides a right pose.
-const SCORE_LEVEL: usize = 1;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,19 +61,12 @@ impl InverseCompositional {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
-            redescent: robust.then_some(Redescent { full: 1.0, zero: 3.0 }),
+            redescent: robust.then_some(Redescent::DEFAULT),
         }
     }
 
     pub(super) fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
-        let template = &target.model.levels[level];
-        let grouping = if level == 0 { self.options.full_size_grouping } else { Grouping::FaceAndView };
-        LevelProblem {
-            level: template,
-            camera: target.camera.at_level(level),
-            groups: Groups::new(grouping, &target.model.shape, template),
-            centre: target.model.shape.centre,
-        }
+        LevelProblem::new(target, level, self.options.full_size_grouping)
     }
 
     /// Descends from level to level; all states in step.
@@ -103,37 +92,6 @@ impl InverseCompositional {
         Ok(last.into_iter().zip(totals).map(join).collect())
     }
 
-    /// The estimates at the ends of descents: scored at [`SCORE_LEVEL`], the rest from full size.
-    pub(super) fn finish(
-        &self,
-        backend: &mut dyn Backend,
-        target: &Target<'_>,
-        descents: Vec<Descended>,
-    ) -> Result<Vec<PoseEstimate>> {
-        let score_level = SCORE_LEVEL.min(target.model.levels.len() - 1);
-        let scored = self.problem(target, score_level);
-        let mut evaluator =
-            Evaluator { backend, target, level: score_level, problem: &scored, sums: Sums::default() };
-        evaluator.evaluate(descents.iter().map(|d| (&d.last.state, &d.last.visibility)))?;
-        let problem = self.problem(target, 0);
-        let row_len = Sums::row_len(target.model.modes());
-        let estimate = |(k, Descended { last, iterations, converged }): (usize, Descended)| {
-            let Descent { state, rows, visibility, weights, equations, .. } = last;
-            let rows = Rows { data: &rows, row_len };
-            PoseEstimate {
-                score: Score::new(scored.level, &evaluator.rows(k), &visibility, &state.appearance),
-                covariance: covariance(&problem, &state, &rows, &weights, &equations),
-                hessian: equations.pose_hessian(),
-                rms: if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 },
-                camera_from_object: state.pose,
-                appearance: state.appearance,
-                iterations,
-                converged,
-            }
-        };
-        Ok(descents.into_iter().enumerate().map(estimate).collect())
-    }
-
     fn level(
         &self,
         backend: &mut dyn Backend,
@@ -145,7 +103,7 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         let settings = self.settings(level, robust);
         let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
-        let mut evaluator = Evaluator { backend, target, level, problem: &problem, sums: Sums::default() };
+        let mut evaluator = Evaluator::new(backend, target, level, &problem);
         evaluator.evaluate(states.iter().zip(&visibility))?;
         let mut descents = Vec::with_capacity(states.len());
         for (i, (state, visibility)) in states.into_iter().zip(visibility).enumerate() {
@@ -174,10 +132,16 @@ impl InverseCompositional {
 pub(super) struct Descended {
     /// The descent on the last level.
     pub(super) last: Descent,
-    /// Steps over all levels.
     iterations: usize,
-    /// False if any level did not converge.
     converged: bool,
+}
+
+impl From<Descended> for End {
+    fn from(descended: Descended) -> Self {
+        let Descended { last: Descent { state, visibility, equations, .. }, iterations, converged } =
+            descended;
+        Self { state, visibility, equations, iterations, converged }
+    }
 }
 
 impl Aligner for InverseCompositional {
@@ -192,14 +156,11 @@ impl Aligner for InverseCompositional {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>> {
         check(target, starts)?;
-        let states = starts
-            .iter()
-            .map(|s| State { pose: s.camera_from_object.renormalised(), appearance: s.appearance.clone() })
-            .collect();
         let coarsest = COARSEST_TRACKED.min(target.model.levels.len() - 1);
+        let levels = (0..=coarsest).rev();
         let descents =
-            self.coarse_to_fine(backend, target, (0..=coarsest).rev(), self.options.robust, states)?;
-        self.finish(backend, target, descents)
+            self.coarse_to_fine(backend, target, levels, self.options.robust, states_of(starts))?;
+        finish(backend, target, descents.into_iter().map(End::from).collect())
     }
 
     fn search(
@@ -211,18 +172,4 @@ impl Aligner for InverseCompositional {
         check(target, std::slice::from_ref(around))?;
         self.shift_search(backend, target, around).map(Some)
     }
-}
-
-fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
-    let modes = target.model.modes();
-    for (i, start) in starts.iter().enumerate() {
-        if !start.camera_from_object.is_finite() {
-            return Err(Error::invalid(format!("start pose {i}"), "it is not finite", "give a valid pose"));
-        }
-        if start.appearance.len() != modes {
-            let problem = format!("{} appearance parameters, the model has {modes}", start.appearance.len());
-            return Err(Error::invalid(format!("start {i}"), problem, "give one per mode, 0 for the mean"));
-        }
-    }
-    Ok(())
 }

@@ -76,6 +76,11 @@ pub(super) struct Solution {
 }
 
 impl Solution {
+    /// Change of the residual as factors of the appearance columns: gain (T0 - centre) + bias.
+    pub(super) fn columns(&self, centre: f64) -> [(usize, f64); 2] {
+        [(GAIN, self.value.x), (BIAS, self.value.y - centre * self.value.x)]
+    }
+
     /// By how much the elimination lowers the cost.
     pub(super) fn reduction(&self) -> f64 {
         -self.gradient.dot(&self.value)

@@ -3,7 +3,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::evaluator::{Evaluator, visibility};
+use super::evaluator::{End, Evaluator, finish, visibility};
 use super::inverse_compositional::InverseCompositional;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost};
@@ -46,7 +46,7 @@ impl InverseCompositional {
         let state =
             best.map_or_else(|| state_at(around, around.camera_from_object), |d| d.last.state.clone());
         let end = self.coarse_to_fine(backend, target, (0..=finest).rev(), true, vec![state])?;
-        Ok(self.finish(backend, target, end)?.remove(0))
+        Ok(finish(backend, target, end.into_iter().map(End::from).collect())?.remove(0))
     }
 
     /// The start and the shifts of it that fit best.
@@ -72,7 +72,7 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         // What is visible hardly depends on the shift.
         let visible = visibility(target, &start);
-        let mut evaluator = Evaluator { backend, target, level, problem: &problem, sums: Sums::default() };
+        let mut evaluator = Evaluator::new(backend, target, level, &problem);
         evaluator.evaluate(states.iter().map(|s| (s, &visible)))?;
         let misfits: Vec<f64> = (0..states.len())
             .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible))

@@ -54,6 +54,9 @@ pub(super) struct Args {
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
+    /// Leave the triangles as they are in the mesh, for `--method paper`; else large ones are cut
+    #[arg(long)]
+    whole_triangles: bool,
     /// Model file to write
     #[arg(long, value_name = "MODEL")]
     out: PathBuf,
@@ -102,7 +105,9 @@ impl Summary {
 
 impl Args {
     fn options(&self) -> TrainOptions {
-        TrainOptions { object_id: self.object, modes: self.modes, ..TrainOptions::default() }
+        let default = TrainOptions::default();
+        let max_edge_px = if self.whole_triangles { f64::INFINITY } else { default.max_edge_px };
+        TrainOptions { object_id: self.object, modes: self.modes, max_edge_px, ..default }
     }
 
     fn chosen_frames(&self) -> Vec<u32> {

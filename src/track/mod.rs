@@ -67,15 +67,16 @@ impl Tracker {
     /// first frame.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] reports.
+    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
     pub fn new(
         model: Model,
         camera: Camera,
         mut backend: Box<dyn Backend>,
-        aligner: Box<dyn Aligner>,
+        mut aligner: Box<dyn Aligner>,
     ) -> Result<Self> {
         camera.validate()?;
         let id = backend.load(&model)?;
+        aligner.prepare(backend.as_mut(), &model, id)?;
         let appearance = vec![0.0; model.modes()];
         let rectifier = Rectifier::new(&camera);
         Ok(Self { backend, aligner, model, id, camera, rectifier, motion: None, appearance, lost: false })
@@ -146,8 +147,11 @@ impl Tracker {
     /// # Errors
     /// As [`Self::track`].
     pub fn align(&mut self, image: &GrayImage, starts: &[Start]) -> Result<Vec<PoseEstimate>> {
-        self.set_frame(image)?;
-        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified() };
+        self.check_size(image)?;
+        let rectified = (!self.camera.distortion.is_none()).then(|| self.rectifier.rectify(image.clone()));
+        let image = rectified.as_ref().unwrap_or(image);
+        self.backend.set_frame(image, self.aligner.levels(&self.model))?;
+        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
         let mut estimates = self.aligner.align(self.backend.as_mut(), &target, starts)?;
         for (estimate, start) in estimates.iter_mut().zip(starts) {
             if believed(estimate, self.lost) {
@@ -164,19 +168,14 @@ impl Tracker {
         Ok(estimates)
     }
 
-    fn set_frame(&mut self, image: &GrayImage) -> Result<()> {
+    fn check_size(&self, image: &GrayImage) -> Result<()> {
         let expected = (self.camera.width, self.camera.height);
         if image.dimensions() != expected {
             let (w, h) = image.dimensions();
             let problem = format!("{w}x{h}, but the camera has {}x{}", expected.0, expected.1);
             return Err(Error::invalid("frame", problem, "give frames and calibration of the same camera"));
         }
-        let levels = self.aligner.levels(&self.model);
-        if self.camera.distortion.is_none() {
-            self.backend.set_frame(image, levels)
-        } else {
-            self.backend.set_frame(&self.rectifier.rectify(image.clone()), levels)
-        }
+        Ok(())
     }
 }
 
