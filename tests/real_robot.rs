@@ -235,7 +235,6 @@ fn scale_of_reference(mesh: &TriangleMesh, pose: &Pose, shape: &[Point3<f64>]) -
 ///
 /// The goal of 0.5 mm is not reached: the median is 2.4 mm, and the limit here only guards against worse. The landmarks
 /// lie some 8 mm in front of the reference's box; bringing them to its scale explains a part (1.9 mm remain).
-#[expect(clippy::too_many_lines, reason = "one experiment from clicks to figures")]
 fn teabox_stereo_landmarks(folder: &Path) -> Result<(), Failed> {
     let folder = folder.join("teabox_stereo");
     let dataset = Dataset::open(&folder)?;
