@@ -6,6 +6,7 @@
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod local;
 mod sums;
 
 use image::GrayImage;
@@ -14,7 +15,7 @@ use nalgebra::Matrix3;
 use crate::error::{Error, Result};
 use crate::model::Model;
 
-pub use cpu::CpuBackend;
+pub use cpu::{CpuBackend, Implementation, Instructions};
 #[cfg(feature = "gpu")]
 pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
 pub use sums::{Sums, SumsRow};

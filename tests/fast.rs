@@ -1,0 +1,131 @@
+//! Does the fast implementation of the CPU backend give what the twin gives, and is it fast? Comparisons have controls
+//! that must be noticed.
+
+mod support;
+
+use aam6d::backend::cpu::downsample::downsample;
+use aam6d::backend::{Backend, CpuBackend, Implementation, Instructions, Request, Sums};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use support::sums::Reference;
+use support::{Scene, image};
+
+/// Around the widths of vectors and blocks, and a full template.
+const PIXELS: [usize; 12] = [1, 3, 4, 7, 8, 15, 16, 17, 255, 256, 257, 72_000];
+/// None, and around the groups of four that are worked on at a time.
+const MODES: [usize; 7] = [0, 1, 2, 3, 4, 5, 8];
+/// Poses; the large template only takes the small ones.
+const ITEMS: [usize; 4] = [1, 3, 17, 65];
+const LARGE: usize = 10_000;
+/// Every set of instructions of this machine.
+const INSTRUCTIONS: [Instructions; 3] = [Instructions::Best, Instructions::Avx2, Instructions::Sse42];
+
+fn sums_with(instructions: Instructions, scene: &Scene) -> Sums {
+    let mut cpu = CpuBackend::with(Implementation::Fast(instructions));
+    let model = cpu.load(&scene.model).expect("the CPU takes every model");
+    cpu.set_frame(&scene.image, 1).expect("the CPU takes every frame");
+    let mut sums = Sums::default();
+    cpu.accumulate(&scene.request(model), &mut sums).expect("the scene fits itself");
+    sums
+}
+
+fn sums(scene: &Scene) -> Sums {
+    sums_with(Instructions::Best, scene)
+}
+
+fn agrees(scene: &Scene, what: &str) {
+    let reference = Reference::new(scene);
+    for instructions in INSTRUCTIONS {
+        let result = reference.compare(scene, &sums_with(instructions, scene));
+        assert!(result.is_ok(), "{what}, {instructions:?}: {}", result.unwrap_err());
+    }
+}
+
+#[test]
+fn all_sizes_agree() {
+    for pixels in PIXELS {
+        for modes in MODES {
+            for items in ITEMS.into_iter().filter(|&items| pixels < LARGE || items < 10) {
+                let scene = Scene::new(7 + items as u64, pixels, modes, items);
+                agrees(&scene, &format!("{pixels} pixels, {modes} modes, {items} poses"));
+            }
+        }
+    }
+}
+
+#[test]
+fn single_pixels_and_many_poses_agree() {
+    agrees(&Scene::of_single_pixels(8, 3_000, 3, 2), "single pixels");
+    agrees(&Scene::new(9, 5_000, 4, 130), "many poses");
+}
+
+/// What comes of a scene must not pass as what the twin makes of another.
+fn must_differ(scene: &Scene, disturbed: &Scene) {
+    let reference = Reference::new(scene);
+    reference.compare(scene, &sums(scene)).expect("the undisturbed scene agrees");
+    let report = reference.compare(scene, &sums(disturbed)).expect_err("a disturbance must be noticed");
+    assert!(report.contains("pose 0 triangle 0:"), "the wrong rows were reported: {report}");
+}
+
+#[test]
+fn a_moved_warp_is_noticed() {
+    for pixels in PIXELS {
+        let scene = Scene::new(11, pixels, 4, 1);
+        let mut disturbed = scene.clone();
+        let h = &mut disturbed.warps[0].image_from_chart;
+        // A tenth of a pixel to the right.
+        let moved = h.row(0) + 0.1 * h.row(2);
+        h.set_row(0, &moved);
+        must_differ(&scene, &disturbed);
+    }
+}
+
+#[test]
+fn changed_pixels_and_frames_are_noticed() {
+    for pixels in PIXELS {
+        let scene = Scene::new(12, pixels, 4, 1);
+        let mut disturbed = scene.clone();
+        disturbed.model.levels[0].pixels.intensity[0] += 1.0;
+        must_differ(&scene, &disturbed);
+        let mut disturbed = scene.clone();
+        disturbed.image.iter_mut().for_each(|value| *value = value.saturating_add(1));
+        must_differ(&scene, &disturbed);
+    }
+}
+
+/// The same bytes whatever the number of threads, and again from the same backend.
+#[test]
+fn sums_do_not_depend_on_threads_or_history() {
+    for (pixels, items) in [(72_000, 3), (300_000, 1), (5_000, 65)] {
+        let scene = Scene::new(6, pixels, 5, items);
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            pool.install(|| sums(&scene))
+        };
+        let first = on(1);
+        for threads in [1, 2, 3, 7] {
+            assert!(on(threads) == first, "{pixels} pixels, {items} poses: {threads} threads give other sums");
+        }
+    }
+}
+
+/// A frame of two levels, with the template on level 1: the sums must be those over the small image. Larger and
+/// smaller frames before must not matter.
+#[test]
+fn every_level_sees_its_own_image() {
+    let mut scene = Scene::new(9, 257, 3, 2);
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    let full = image(&mut rng, 2 * scene.image.width() + 1, 2 * scene.image.height());
+    scene.image = downsample(&full);
+    let mut model = scene.model.clone();
+    model.levels.push(model.levels[0].clone());
+    let mut cpu = CpuBackend::new();
+    let model = cpu.load(&model).expect("the CPU takes every model");
+    for (width, height) in [(900, 700), (3, 2), (1, 1)] {
+        cpu.set_frame(&image(&mut rng, width, height), 4).expect("the CPU takes every frame");
+    }
+    cpu.set_frame(&full, 2).expect("the CPU takes every frame");
+    let mut sums = Sums::default();
+    cpu.accumulate(&Request { level: 1, ..scene.request(model) }, &mut sums).expect("the scene fits");
+    Reference::new(&scene).compare(&scene, &sums).expect("the sums over the small image");
+}
