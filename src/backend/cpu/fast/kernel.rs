@@ -61,28 +61,27 @@ pub(super) fn add_block<S: Simd>(
 /// Warped positions, eq. (3).
 #[inline(always)]
 fn locate<S: Simd>(simd: S, block: &Block<'_>, warp: &LocalWarp, image: &Pairs, scratch: &mut Scratch) {
-    let splat = |x: f32| S::f32s::splat(simd, x);
-    let [row_u, row_v, row_w] = warp.rows.map(|row| row.map(splat));
-    let [base_u, base_v] = warp.base.map(splat);
+    let [row_u, row_v, row_w] = warp.rows;
+    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
+    let [base_u, base_v] = splat(simd, warp.base);
     #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
-    let [last_u, last_v] = [image.width, image.height].map(|n| splat(n as f32 - 1.0));
+    let [last_u, last_v] = splat(simd, [image.width as f32 - 1.0, image.height as f32 - 1.0]);
     let stride = S::i32s::splat(simd, image.width.cast_signed());
-    let (zero, one) = (splat(0.0), splat(1.0));
+    let [zero, one, outside] = splat(simd, [0.0, 1.0, -1.0]);
     for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
         let [u, v] = unpack(simd, &block.positions[at.clone()]);
-        let apply = |row: [S::f32s; 3]| row[0].mul_add(u, row[1].mul_add(v, row[2]));
-        let depth = apply(row_w);
+        let depth = apply(row_w, u, v);
         let inverse = one / depth;
-        let (local_u, local_v) = (apply(row_u) * inverse, apply(row_v) * inverse);
+        let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
         let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
         let (pixel_u, pixel_v) = (corner_u + base_u, corner_v + base_v);
-        // Positive range tests, so that NaN is outside.
-        let inside = depth.simd_gt(zero)
-            & pixel_u.simd_ge(zero)
-            & pixel_v.simd_ge(zero)
-            & pixel_u.simd_lt(last_u)
-            & pixel_v.simd_lt(last_v);
+        // Positive range tests, so that NaN is outside, chained by their operands: combining masks is not inlined
+        // without optimisation across crates.
+        let from_left = depth.simd_gt(zero).select(pixel_u, outside);
+        let from_right = from_left.simd_ge(zero).select(last_u - pixel_u, outside);
+        let from_top = from_right.simd_gt(zero).select(pixel_v, outside);
+        let inside = from_top.simd_ge(zero).select(last_v - pixel_v, outside).simd_gt(zero);
         let row: S::i32s = inside.select(pixel_v, zero).to_int();
         let column: S::i32s = inside.select(pixel_u, zero).to_int();
         let index: S::u32s = (row * stride + column).bitcast();
@@ -92,6 +91,23 @@ fn locate<S: Simd>(simd: S, block: &Block<'_>, warp: &LocalWarp, image: &Pairs, 
         inside.select(one, zero).store_slice(&mut scratch.inside[at]);
     }
     scratch.inside[block.pixels..block.positions.len()].fill(0.0);
+}
+
+// Loops instead of `map`: without optimisation across crates `map` is not inlined, and vectors go through memory.
+
+#[inline(always)]
+fn splat<S: Simd, const N: usize>(simd: S, values: [f32; N]) -> [S::f32s; N] {
+    let mut vectors = [S::f32s::splat(simd, 0.0); N];
+    for k in 0..N {
+        vectors[k] = S::f32s::splat(simd, values[k]);
+    }
+    vectors
+}
+
+/// A row of a warp times (u, v, 1).
+#[inline(always)]
+fn apply<S: Simd, V: SimdFloat<S>>(row: [V; 3], u: V, v: V) -> V {
+    row[0].mul_add(u, row[1].mul_add(v, row[2]))
 }
 
 #[inline(always)]
@@ -126,8 +142,7 @@ fn blend_some<S: Simd, const N: usize>(
     scratch: &mut Scratch,
 ) {
     let n = block.positions.len();
-    let lambda = lambda.map(|x| S::f32s::splat(simd, x));
-    let columns: [&[f32]; N] = std::array::from_fn(|k| &modes[k * n..][..n]);
+    let (lambda, columns): (_, [&[f32]; N]) = (splat(simd, lambda), columns(modes, n));
     for i in (0..n).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
         let before = if first { &block.texels[2][at.clone()] } else { &scratch.template[at.clone()] };
@@ -137,6 +152,16 @@ fn blend_some<S: Simd, const N: usize>(
         }
         sum.store_slice(&mut scratch.template[at]);
     }
+}
+
+/// The first modes, each of length `n`.
+#[inline(always)]
+fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
+    let mut columns: [&[f32]; N] = [&[]; N];
+    for k in 0..N {
+        columns[k] = &modes[k * n..][..n];
+    }
+    columns
 }
 
 /// Residuals, eq. (17), and the eleven sums that do not depend on the modes.
@@ -151,10 +176,12 @@ fn sum_texels<S: Simd>(
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
-        let load = |values: &[f32]| S::f32s::from_slice(simd, &values[at.clone()]);
-        let [gradient_u, gradient_v, intensity, weight] = block.texels.map(load);
-        let template = if is_mean { intensity } else { load(&scratch.template) };
-        let inside = load(&scratch.inside);
+        let gradient_u = load(simd, block.texels[0], &at);
+        let gradient_v = load(simd, block.texels[1], &at);
+        let intensity = load(simd, block.texels[2], &at);
+        let weight = load(simd, block.texels[3], &at);
+        let template = if is_mean { intensity } else { load(simd, &scratch.template, &at) };
+        let inside = load(simd, &scratch.inside, &at);
         let residual = template - sample(simd, scratch, at.clone());
         let q = weight * inside;
         let qr = q * residual;
@@ -173,18 +200,25 @@ fn sum_texels<S: Simd>(
         sums[9] = qr.mul_add(intensity, sums[9]);
         sums[10] += qr;
     }
-    for (total, sum) in row.iter_mut().zip(sums) {
-        *total += f64::from(sum.reduce_sum());
+    for k in 0..sums.len() {
+        row[k] += f64::from(sums[k].reduce_sum());
     }
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, values: &[f32], at: &std::ops::Range<usize>) -> S::f32s {
+    S::f32s::from_slice(simd, &values[at.start..at.end])
 }
 
 /// Grey values between the four pixels, bilinear.
 #[inline(always)]
 fn sample<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> S::f32s {
     let quad = S::i32s::from_slice(simd, &scratch.quad[at.clone()]);
-    let [fu, fv] = [0, 1].map(|k: usize| S::f32s::from_slice(simd, &scratch.fraction[k][at.clone()]));
-    let byte = |shift: u32| -> S::f32s { ((quad >> shift) & 255).to_float() };
-    let [upper_left, lower_left, upper_right, lower_right] = [byte(0), byte(8), byte(16), byte(24)];
+    let (fu, fv) = (load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at));
+    let upper_left: S::f32s = (quad & 255).to_float();
+    let lower_left: S::f32s = ((quad >> 8) & 255).to_float();
+    let upper_right: S::f32s = ((quad >> 16) & 255).to_float();
+    let lower_right: S::f32s = ((quad >> 24) & 255).to_float();
     let upper = fu.mul_add(upper_right - upper_left, upper_left);
     let lower = fu.mul_add(lower_right - lower_left, lower_left);
     fv.mul_add(lower - upper, upper)
@@ -214,7 +248,7 @@ fn project_some<S: Simd, const N: usize>(
     scratch: &Scratch,
     totals: [&mut f64; N],
 ) {
-    let columns: [&[f32]; N] = std::array::from_fn(|k| &modes[k * n..][..n]);
+    let columns: [&[f32]; N] = columns(modes, n);
     let mut sums = [S::f32s::splat(simd, 0.0); N];
     for i in (0..n).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
@@ -223,7 +257,7 @@ fn project_some<S: Simd, const N: usize>(
             sums[k] = qr.mul_add(S::f32s::from_slice(simd, &columns[k][at.clone()]), sums[k]);
         }
     }
-    for (total, sum) in totals.into_iter().zip(sums) {
-        *total += f64::from(sum.reduce_sum());
+    for k in 0..N {
+        *totals[k] += f64::from(sums[k].reduce_sum());
     }
 }

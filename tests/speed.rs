@@ -1,0 +1,70 @@
+//! Is the fast implementation fast? A ratio within one process and one thread, so that neither the machine nor its
+//! load decides: both implementations take turns, and the CPU time of the quickest turn of each counts.
+
+mod support;
+
+use aam6d::backend::{Backend, CpuBackend, Sums};
+use cpu_time::ThreadTime;
+use support::Scene;
+
+/// A full template with eight modes.
+const PIXELS: usize = 72_000;
+const MODES: usize = 8;
+/// The goal is 8; half of it is the margin for other processors and for neighbours that take cache and bandwidth.
+const MIN_RATIO: f64 = 4.0;
+/// Turns per attempt.
+const TURNS: usize = 5;
+/// A neighbour can fill all turns of an attempt. The best attempt counts: disturbances only make the fast
+/// implementation, which lives by the cache, look worse, and no attempt can make slow code pass.
+const ATTEMPTS: usize = 4;
+
+/// A loaded backend that is ready to go.
+struct Runner {
+    backend: CpuBackend,
+    model: aam6d::backend::ModelId,
+    sums: Sums,
+}
+
+impl Runner {
+    fn new(mut backend: CpuBackend, scene: &Scene) -> Self {
+        let model = backend.load(&scene.model).expect("the CPU takes every model");
+        backend.set_frame(&scene.image, 1).expect("the CPU takes every frame");
+        Self { backend, model, sums: Sums::default() }
+    }
+
+    /// CPU time of one call, ns per pixel.
+    fn turn(&mut self, scene: &Scene) -> f64 {
+        let began = ThreadTime::now();
+        self.backend.accumulate(&scene.request(self.model), &mut self.sums).expect("the scene fits");
+        began.elapsed().as_secs_f64() * 1e9 / PIXELS as f64
+    }
+}
+
+fn attempt(scene: &Scene) -> [f64; 2] {
+    let mut runners =
+        [CpuBackend::twin(), CpuBackend::new()].map(|backend| Runner::new(backend, scene));
+    let mut best = [f64::INFINITY; 2];
+    for _ in 0..TURNS {
+        for (best, runner) in best.iter_mut().zip(&mut runners) {
+            *best = best.min(runner.turn(scene));
+        }
+    }
+    best
+}
+
+#[test]
+fn fast_is_fast() {
+    let scene = Scene::new(1, PIXELS, MODES, 1);
+    // One thread, so that its CPU time is all there is.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    let mut seen = Vec::new();
+    for _ in 0..ATTEMPTS {
+        let [twin, fast] = pool.install(|| attempt(&scene));
+        println!("twin {twin:.2} ns, fast {fast:.2} ns per pixel: {:.1} times", twin / fast);
+        if twin / fast >= MIN_RATIO {
+            return;
+        }
+        seen.push(twin / fast);
+    }
+    panic!("the fast implementation is {seen:.1?} times as fast as the twin, at least {MIN_RATIO} is needed");
+}
