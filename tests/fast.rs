@@ -104,7 +104,10 @@ fn sums_do_not_depend_on_threads_or_history() {
         };
         let first = on(1);
         for threads in [1, 2, 3, 7] {
-            assert!(on(threads) == first, "{pixels} pixels, {items} poses: {threads} threads give other sums");
+            assert!(
+                on(threads) == first,
+                "{pixels} pixels, {items} poses: {threads} threads give other sums"
+            );
         }
     }
 }

@@ -41,8 +41,7 @@ impl Runner {
 }
 
 fn attempt(scene: &Scene) -> [f64; 2] {
-    let mut runners =
-        [CpuBackend::twin(), CpuBackend::new()].map(|backend| Runner::new(backend, scene));
+    let mut runners = [CpuBackend::twin(), CpuBackend::new()].map(|backend| Runner::new(backend, scene));
     let mut best = [f64::INFINITY; 2];
     for _ in 0..TURNS {
         for (best, runner) in best.iter_mut().zip(&mut runners) {

@@ -2,6 +2,7 @@
 
 mod align;
 mod backend;
+mod bench;
 mod demo;
 mod eval;
 mod frames;
@@ -42,6 +43,8 @@ enum Command {
     Align(align::Args),
     /// Judge poses against a reference
     Eval(eval::Args),
+    /// Measure time and memory of every backend on the standard workload
+    Bench(bench::Args),
     /// Show the adapters, which one would be used and why, and test CPU against GPU
     Info(info::Args),
 }
@@ -75,6 +78,7 @@ fn execute(command: Command) -> anyhow::Result<()> {
         Command::Track(args) => track::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Info(args) => info::run(&args),
     }
 }

@@ -1,6 +1,6 @@
 //! One block of pixels: warp, gather, residual and sums, in steps whose results stay in the first-level cache.
 
-use fearless_simd::{prelude::*, Simd};
+use fearless_simd::{Simd, prelude::*};
 
 use super::BLOCK;
 use super::pairs::Pairs;
@@ -166,13 +166,7 @@ fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
 
 /// Residuals, eq. (17), and the eleven sums that do not depend on the modes.
 #[inline(always)]
-fn sum_texels<S: Simd>(
-    simd: S,
-    block: &Block<'_>,
-    is_mean: bool,
-    scratch: &mut Scratch,
-    row: &mut [f64],
-) {
+fn sum_texels<S: Simd>(simd: S, block: &Block<'_>, is_mean: bool, scratch: &mut Scratch, row: &mut [f64]) {
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
