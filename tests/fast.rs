@@ -3,8 +3,14 @@
 
 mod support;
 
+use aam6d::align::InverseCompositional;
 use aam6d::backend::cpu::downsample::downsample;
 use aam6d::backend::{Backend, CpuBackend, Implementation, Instructions, Request, Sums};
+use aam6d::geometry::Pose;
+use aam6d::simulate::{Sequence, SequenceOptions};
+use aam6d::track::{Status, Tracker};
+use aam6d::train::{TrainOptions, TrainingImage, train};
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use support::sums::Reference;
@@ -131,4 +137,56 @@ fn every_level_sees_its_own_image() {
     let mut sums = Sums::default();
     cpu.accumulate(&Request { level: 1, ..scene.request(model) }, &mut sums).expect("the scene fits");
     Reference::new(&scene).compare(&scene, &sums).expect("the sums over the small image");
+}
+
+/// Largest distance between the corners of two poses in the image.
+fn distance_px(tracker: &Tracker, sequence: &Sequence, a: &Pose, b: &Pose) -> f64 {
+    let project = |pose: &Pose, x| sequence.camera().project(&pose.transform_point(x)).expect("in front");
+    let corners = tracker.model().shape.corners.iter();
+    corners.map(|x| (project(a, x) - project(b, x)).norm()).fold(0.0, f64::max)
+}
+
+/// A track in f32 must end where the one in f64 ends, frame by frame.
+#[test]
+fn whole_tracks_agree() {
+    let sequence = |sequence| {
+        let options = SequenceOptions {
+            frames: 8,
+            sequence,
+            light: true,
+            supersampling: 2,
+            ..SequenceOptions::default()
+        };
+        Sequence::new(options).expect("valid options")
+    };
+    let (trained_on, tracked) = (sequence(2), sequence(1));
+    let image = |k| TrainingImage {
+        image: trained_on.image(k),
+        camera: *trained_on.camera(),
+        camera_from_object: trained_on.pose(k),
+    };
+    let options = TrainOptions { modes: 3, ..TrainOptions::default() };
+    let images: Vec<_> = [0, 2, 4, 6].map(image).into();
+    let model = train(&trained_on.object().mesh, &images, &options).expect("a model");
+    let shifted = tracked.pose(0).compose(&Pose::about(
+        Vector3::new(0.01, -0.01, 0.01),
+        Vector3::new(0.001, 0.001, -0.001),
+        &model.shape.centre,
+    ));
+    let mut trackers = [CpuBackend::new(), CpuBackend::twin()].map(|backend| {
+        let aligner = Box::new(InverseCompositional::default());
+        let mut tracker = Tracker::new(model.clone(), *tracked.camera(), Box::new(backend), aligner)
+            .expect("a valid camera");
+        tracker.start_at(shifted);
+        tracker
+    });
+    for (k, (_, image)) in tracked.frames().enumerate() {
+        let [a, b] = &mut trackers;
+        let [fast, twin] = [a.track(&image), b.track(&image)].map(|t| t.expect("a frame of the camera"));
+        assert_eq!([fast.status, twin.status], [Status::Tracking; 2], "frame {k}");
+        let (p, q) = (fast.estimate.camera_from_object, twin.estimate.camera_from_object);
+        let distance = distance_px(a, &tracked, &p, &q);
+        assert!(distance <= 0.02, "frame {k}: the tracks are {distance} px apart");
+        assert!(distance_px(a, &tracked, &p, &shifted) > 0.02, "frame {k}: the measure sees a moved pose");
+    }
 }

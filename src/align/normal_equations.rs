@@ -91,10 +91,10 @@ fn barycentric_gradient(sums: &[f64], g: &ChartGeometry) -> Vector6<f64> {
 }
 
 /// Coupling of one group's gain and bias with the pose and the appearance parameters.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 struct Coupling {
-    pose: [Vector6<f64>; 2],
-    appearance: [DVector<f64>; 2],
+    /// Columns of gain and bias: pose, then appearance. Empty until a triangle of the group takes part.
+    columns: [Vec<f64>; 2],
 }
 
 impl NormalEquations {
@@ -109,9 +109,7 @@ impl NormalEquations {
         let (level, l) = (problem.level, appearance.len());
         let solutions = photometric::solve(&problem.groups, level, rows, s);
         let mut sum = Self::prior(appearance);
-        let none =
-            Coupling { pose: [Vector6::zeros(); 2], appearance: [DVector::zeros(l), DVector::zeros(l)] };
-        let mut couplings = vec![none; problem.groups.len()];
+        let mut couplings = vec![Coupling::default(); problem.groups.len()];
         let mut active = 0.0;
         for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
             let Some((motion, metric)) = geometry.as_ref().and_then(|g| corner_motion(problem, pose, g))
@@ -125,7 +123,7 @@ impl NormalEquations {
             let v = barycentric_gradient(rows.row(t).gradient(), geometry);
             sum.add_triangle(level, t, rows, s[t], &motion, &v);
             let share = s[t] * rows.inside(level, t);
-            couplings[group].add(level, t, share, &motion, problem.groups.centre[group]);
+            couplings[group].add(level, t, l, share, &motion, problem.groups.centre[group]);
             sum.displacement += metric;
             active += 1.0;
         }
@@ -163,40 +161,38 @@ impl NormalEquations {
         v: &Vector6<f64>,
     ) {
         let moments = &level.moments[triangle];
-        let share = s * rows.inside(level, triangle);
+        let (share, transposed) = (s * rows.inside(level, triangle), motion.transpose());
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
-        pose += share * motion.transpose() * moments.hessian * motion;
+        pose += share * transposed * moments.hessian * motion;
         let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
-        pose_gradient += s * motion.transpose() * v;
-        let row = rows.row(triangle);
+        pose_gradient += s * transposed * v;
+        let (shared, row) = (share * transposed, rows.row(triangle).appearance());
         for k in 0..self.gradient.len() - 6 {
-            let column = share * motion.transpose() * moments.cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
+            let column = shared * moments.cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
             let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
             upper += column;
             let mut lower = self.hessian.fixed_view_mut::<1, 6>(6 + k, 0);
             lower += column.transpose();
-            for j in 0..self.gradient.len() - 6 {
-                self.hessian[(6 + k, 6 + j)] += share * moments.appearance[(FIRST_MODE + k, FIRST_MODE + j)];
+            let mut sums = self.hessian.column_mut(6 + k);
+            let products = moments.appearance.column(FIRST_MODE + k);
+            for (sum, product) in sums.iter_mut().skip(6).zip(products.iter().skip(FIRST_MODE)) {
+                *sum += share * product;
             }
-            self.gradient[6 + k] += s * row.appearance()[FIRST_MODE + k];
+            self.gradient[6 + k] += s * row[FIRST_MODE + k];
         }
     }
 
     /// Schur complement of one group's gain and bias.
     fn eliminate(&mut self, coupling: &Coupling, solution: &Solution) {
-        let n = self.gradient.len();
-        let column = |k: usize| {
-            let mut c = DVector::zeros(n);
-            c.fixed_rows_mut::<6>(0).copy_from(&coupling.pose[k]);
-            c.rows_mut(6, n - 6).copy_from(&coupling.appearance[k]);
-            c
-        };
-        let c = [column(0), column(1)];
-        for (i, ci) in c.iter().enumerate() {
-            for (j, cj) in c.iter().enumerate() {
-                self.hessian.ger(-solution.inverse[(i, j)], ci, cj, 1.0);
+        let Coupling { columns: [gain, bias] } = coupling;
+        let inverse = &solution.inverse;
+        for (j, (g, b)) in gain.iter().zip(bias).enumerate() {
+            let with_gain = inverse[(0, 0)] * g + inverse[(0, 1)] * b;
+            let with_bias = inverse[(1, 0)] * g + inverse[(1, 1)] * b;
+            for (sum, (g, b)) in self.hessian.column_mut(j).iter_mut().zip(gain.iter().zip(bias)) {
+                *sum -= g * with_gain + b * with_bias;
             }
-            self.gradient.axpy(solution.value[i], ci, 1.0);
+            self.gradient[j] += solution.value[0] * g + solution.value[1] * b;
         }
     }
 }
@@ -206,6 +202,7 @@ impl Coupling {
         &mut self,
         level: &LevelTemplate,
         triangle: usize,
+        modes: usize,
         share: f64,
         motion: &Matrix6<f64>,
         centre: f64,
@@ -213,12 +210,18 @@ impl Coupling {
         let moments = &level.moments[triangle];
         let one = moments.cross.fixed_view::<6, 1>(0, BIAS);
         let gain = moments.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
-        self.pose[0] += share * motion.transpose() * gain;
-        self.pose[1] += share * motion.transpose() * one;
-        for k in 0..self.appearance[0].len() {
+        let transposed = share * motion.transpose();
+        let pose = [transposed * gain, transposed * one];
+        for (column, pose) in self.columns.iter_mut().zip(pose) {
+            column.resize(6 + modes, 0.0);
+            for (sum, value) in column.iter_mut().zip(&pose) {
+                *sum += value;
+            }
+        }
+        for k in 0..modes {
             let with = |column: usize| moments.appearance[(FIRST_MODE + k, column)];
-            self.appearance[0][k] += share * (with(GAIN) - centre * with(BIAS));
-            self.appearance[1][k] += share * with(BIAS);
+            self.columns[0][6 + k] += share * (with(GAIN) - centre * with(BIAS));
+            self.columns[1][6 + k] += share * with(BIAS);
         }
     }
 }

@@ -4,9 +4,9 @@ use std::process::Command;
 
 use serde::Serialize;
 
-use crate::backend::CpuBackend;
 #[cfg(feature = "gpu")]
 use crate::backend::Backend as _;
+use crate::backend::CpuBackend;
 
 #[derive(Debug, Serialize)]
 pub(super) struct Machine {
