@@ -101,7 +101,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let text = report::markdown(&summary)?;
     let document = args.write.then(|| Path::new(DOCUMENT));
     for path in args.markdown.as_deref().into_iter().chain(document) {
-        write_atomically(path, |out| Ok(out.write_all(text.as_bytes())?))?;
+        write_atomically(path, |out| out.write_all(text.as_bytes()))?;
     }
     args.json.write(&text, &summary)
 }

@@ -33,10 +33,14 @@ pub(super) fn level(instructions: Instructions) -> Level {
             Instructions::Avx2 => best.as_avx2().map(|avx2| avx2.level()),
             Instructions::Sse42 => best.as_sse4_2().map(|sse| sse.level()),
         };
-        return narrower.unwrap_or(best);
+        narrower.unwrap_or(best)
     }
     #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
-    best
+    {
+        // There is one set on each of the others.
+        let _ = instructions;
+        best
+    }
 }
 
 /// Name of a set of instructions.
