@@ -2,6 +2,7 @@
 
 #![allow(dead_code, unused_imports, reason = "every test program uses its own part")]
 
+#[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod scene;
 pub(crate) mod sums;

@@ -18,6 +18,9 @@ use crate::eval::statistics::median;
 use crate::model::Model;
 use crate::track::Tracker;
 
+/// Calls in a row per round, as in an alignment: the first finds the cache full of another candidate's data.
+const CALLS: usize = 4;
+
 /// A backend to measure.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Candidate {
@@ -132,12 +135,16 @@ pub(super) fn passes(
         for (best, r) in best.iter_mut().zip(&mut runners) {
             let request =
                 Request { model: r.model, level: 0, items: 1, warps: &warps, appearance: &appearance };
-            let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.sums));
-            done?;
-            *best = best.min(times.cpu_ms);
+            for _ in 0..CALLS {
+                let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.sums));
+                done?;
+                *best = best.min(times.cpu_ms);
+            }
         }
-        let (_, times) = timed(|| black_box(bandwidth::read(level, black_box(&data))));
-        best[runners.len()] = best[runners.len()].min(times.cpu_ms);
+        for _ in 0..CALLS {
+            let (_, times) = timed(|| black_box(bandwidth::read(level, black_box(&data))));
+            best[runners.len()] = best[runners.len()].min(times.cpu_ms);
+        }
         let (_, times) = timed(|| black_box(downsample(black_box(image))));
         best[runners.len() + 1] = best[runners.len() + 1].min(times.cpu_ms);
     }
