@@ -1,4 +1,4 @@
-//! Time per stage on the CPU and on the best adapter; bench ids are `<stage>/<backend>/<size>`.
+//! Time per stage on the CPU (fast and twin) and on the best adapter; bench ids are `<stage>/<backend>/<size>`.
 //!
 //! Wall time on a shared machine means little; compare the two backends within one run.
 
@@ -19,9 +19,10 @@ use scene::Scene;
 const PIXELS: usize = 72_000;
 const MODES: [usize; 3] = [0, 4, 8];
 
-/// The CPU, and the best adapter where there is one.
+/// Both implementations on the CPU, and the best adapter where there is one.
 fn backends() -> Vec<(&'static str, Box<dyn Backend>)> {
-    let mut backends: Vec<(&str, Box<dyn Backend>)> = vec![("cpu", Box::new(CpuBackend::new()))];
+    let mut backends: Vec<(&str, Box<dyn Backend>)> =
+        vec![("cpu", Box::new(CpuBackend::new())), ("twin", Box::new(CpuBackend::twin()))];
     if let Ok(gpu) = GpuBackend::open(&AdapterSelection::Auto) {
         backends.push(("gpu", Box::new(gpu)));
     }

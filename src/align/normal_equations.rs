@@ -1,6 +1,6 @@
 //! JtQJ, JtQr and the cost at a pose, from triangle sums and moments (`docs/maths.md`, "Moments").
 
-use nalgebra::{DMatrix, DVector, Matrix6, Point3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Point3};
 
 use super::Target;
 use super::derivative::{CornerMotion, Derivative, TrianglePart};
@@ -75,10 +75,10 @@ pub(super) struct NormalEquations {
 }
 
 /// Coupling of one group's gain and bias with the pose and the appearance parameters.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 struct Coupling {
-    pose: [Vector6<f64>; 2],
-    appearance: [DVector<f64>; 2],
+    /// Columns of gain and bias: pose, then appearance. Empty until a triangle of the group takes part.
+    columns: [Vec<f64>; 2],
 }
 
 impl NormalEquations {
@@ -92,12 +92,10 @@ impl NormalEquations {
         s: &[f64],
         derivative: Derivative<'_>,
     ) -> Self {
-        let (level, l) = (problem.level, appearance.len());
+        let level = problem.level;
         let solutions = photometric::solve(&problem.groups, level, rows, s);
         let mut sum = Self::prior(appearance);
-        let none =
-            Coupling { pose: [Vector6::zeros(); 2], appearance: [DVector::zeros(l), DVector::zeros(l)] };
-        let mut couplings = vec![none; problem.groups.len()];
+        let mut couplings = vec![Coupling::default(); problem.groups.len()];
         for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
             let Some(geometry) = geometry else { continue };
             let Some(corners) = CornerMotion::new(&problem.camera, pose, geometry, &problem.centre) else {
@@ -105,16 +103,10 @@ impl NormalEquations {
             };
             let group = problem.groups.of_triangle[t];
             let part = derivative.of_triangle(level, t, rows, &corners, solutions[group].value.x);
+            let gain_and_bias = solutions[group].columns(problem.groups.centre[group]);
             sum.add_triangle(level, t, rows, s[t], &part);
+            sum.scatter_triangle(level, t, rows, s[t], &part, gain_and_bias);
             couplings[group].add(level, t, rows, s[t], &part, problem.groups.centre[group]);
-            sum.scatter_triangle(
-                level,
-                t,
-                rows,
-                s[t],
-                &part,
-                solutions[group].columns(problem.groups.centre[group]),
-            );
             sum.displacement += corners.metric;
             sum.triangles += 1;
         }
@@ -166,22 +158,25 @@ impl NormalEquations {
         part: &TrianglePart,
     ) {
         let TrianglePart { motion, hessian, cross, gradient } = part;
+        let transposed = s * motion.transpose();
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
-        pose += s * motion.transpose() * hessian * motion;
+        pose += transposed * hessian * motion;
         let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
-        pose_gradient += s * motion.transpose() * gradient;
-        let (row, share) = (rows.row(triangle), s * rows.inside(level, triangle));
+        pose_gradient += transposed * gradient;
+        let (row, share) = (rows.row(triangle).appearance(), s * rows.inside(level, triangle));
         let appearance = &level.moments[triangle].appearance;
         for k in 0..self.gradient.len() - 6 {
-            let column = s * motion.transpose() * cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
+            let column = transposed * cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
             let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
             upper += column;
             let mut lower = self.hessian.fixed_view_mut::<1, 6>(6 + k, 0);
             lower += column.transpose();
-            for j in 0..self.gradient.len() - 6 {
-                self.hessian[(6 + k, 6 + j)] += share * appearance[(FIRST_MODE + k, FIRST_MODE + j)];
+            let mut sums = self.hessian.column_mut(6 + k);
+            let products = appearance.column(FIRST_MODE + k);
+            for (sum, product) in sums.iter_mut().skip(6).zip(products.iter().skip(FIRST_MODE)) {
+                *sum += share * product;
             }
-            self.gradient[6 + k] += s * row.appearance()[FIRST_MODE + k];
+            self.gradient[6 + k] += s * row[FIRST_MODE + k];
         }
     }
 
@@ -216,19 +211,15 @@ impl NormalEquations {
 
     /// Schur complement of one group's gain and bias.
     fn eliminate(&mut self, coupling: &Coupling, solution: &Solution) {
-        let n = self.gradient.len();
-        let column = |k: usize| {
-            let mut c = DVector::zeros(n);
-            c.fixed_rows_mut::<6>(0).copy_from(&coupling.pose[k]);
-            c.rows_mut(6, n - 6).copy_from(&coupling.appearance[k]);
-            c
-        };
-        let c = [column(0), column(1)];
-        for (i, ci) in c.iter().enumerate() {
-            for (j, cj) in c.iter().enumerate() {
-                self.hessian.ger(-solution.inverse[(i, j)], ci, cj, 1.0);
+        let Coupling { columns: [gain, bias] } = coupling;
+        let inverse = &solution.inverse;
+        for (j, (g, b)) in gain.iter().zip(bias).enumerate() {
+            let with_gain = inverse[(0, 0)] * g + inverse[(0, 1)] * b;
+            let with_bias = inverse[(1, 0)] * g + inverse[(1, 1)] * b;
+            for (sum, (g, b)) in self.hessian.column_mut(j).iter_mut().zip(gain.iter().zip(bias)) {
+                *sum -= g * with_gain + b * with_bias;
             }
-            self.gradient.axpy(solution.value[i], ci, 1.0);
+            self.gradient[j] += solution.value[0] * g + solution.value[1] * b;
         }
     }
 }
@@ -243,15 +234,22 @@ impl Coupling {
         part: &TrianglePart,
         centre: f64,
     ) {
+        let (moments, share) = (&level.moments[triangle], s * rows.inside(level, triangle));
+        let modes = moments.appearance.ncols() - FIRST_MODE;
         let one = part.cross.fixed_view::<6, 1>(0, BIAS);
         let gain = part.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
-        self.pose[0] += s * part.motion.transpose() * gain;
-        self.pose[1] += s * part.motion.transpose() * one;
-        let (moments, share) = (&level.moments[triangle], s * rows.inside(level, triangle));
-        for k in 0..self.appearance[0].len() {
+        let transposed = s * part.motion.transpose();
+        let pose = [transposed * gain, transposed * one];
+        for (column, pose) in self.columns.iter_mut().zip(pose) {
+            column.resize(6 + modes, 0.0);
+            for (sum, value) in column.iter_mut().zip(&pose) {
+                *sum += value;
+            }
+        }
+        for k in 0..modes {
             let with = |column: usize| moments.appearance[(FIRST_MODE + k, column)];
-            self.appearance[0][k] += share * (with(GAIN) - centre * with(BIAS));
-            self.appearance[1][k] += share * with(BIAS);
+            self.columns[0][6 + k] += share * (with(GAIN) - centre * with(BIAS));
+            self.columns[1][6 + k] += share * with(BIAS);
         }
     }
 }

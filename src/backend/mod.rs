@@ -7,6 +7,7 @@ pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod linearization;
+mod local;
 mod sums;
 
 use image::GrayImage;
@@ -15,7 +16,7 @@ use nalgebra::Matrix3;
 use crate::error::{Error, Result};
 use crate::model::Model;
 
-pub use cpu::CpuBackend;
+pub use cpu::{CpuBackend, Implementation, Instructions};
 #[cfg(feature = "gpu")]
 pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
 pub use linearization::{LinearRow, Linearization};

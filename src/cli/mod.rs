@@ -2,6 +2,7 @@
 
 mod align;
 mod backend;
+mod bench;
 mod demo;
 mod details;
 mod eval;
@@ -49,6 +50,8 @@ enum Command {
     Eval(eval::Args),
     /// Calibrate where the camera sits on the robot's end-effector
     HandEye(hand_eye::Args),
+    /// Measure time and memory of every backend on the standard workload
+    Bench(bench::Args),
     /// Show the adapters, which one would be used and why, and test CPU against GPU
     Info(info::Args),
 }
@@ -84,6 +87,7 @@ fn execute(command: Command) -> anyhow::Result<()> {
         Command::Align(args) => align::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::HandEye(args) => hand_eye::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Info(args) => info::run(&args),
     }
 }

@@ -19,6 +19,16 @@ impl Pyramid {
         Self { levels }
     }
 
+    /// Builds `count` levels (at least one) from a full-size image in the memory of the last one.
+    pub fn rebuild(&mut self, image: &GrayImage, count: usize) {
+        self.levels.resize_with(count.max(1), GrayImage::default);
+        copy(image, &mut self.levels[0]);
+        for level in 1..self.levels.len() {
+            let (done, rest) = self.levels.split_at_mut(level);
+            downsample_into(&done[level - 1], &mut rest[0]);
+        }
+    }
+
     /// The image of a level.
     pub fn level(&self, level: usize) -> &GrayImage {
         &self.levels[level]
@@ -37,23 +47,38 @@ impl Pyramid {
 
 /// Half the size: (a + b + c + d + 2) / 4 of every 2x2 block; an odd last row or column is left out.
 pub fn downsample(image: &GrayImage) -> GrayImage {
+    let mut half = GrayImage::default();
+    downsample_into(image, &mut half);
+    half
+}
+
+/// [`downsample`] into the memory of another image.
+fn downsample_into(image: &GrayImage, half: &mut GrayImage) {
     let (w, h) = (image.width() as usize / 2, image.height() as usize / 2);
     let stride = image.width() as usize;
     let data = image.as_raw();
-    let mut out = vec![0; w * h];
+    let mut out = std::mem::take(half).into_raw();
+    out.resize(w * h, 0);
     for (y, row) in out.chunks_exact_mut(w.max(1)).enumerate() {
-        let top = &data[2 * y * stride..][..2 * w];
-        let bottom = &data[(2 * y + 1) * stride..][..2 * w];
-        for (x, value) in row.iter_mut().enumerate() {
-            let sum = u16::from(top[2 * x])
-                + u16::from(top[2 * x + 1])
-                + u16::from(bottom[2 * x])
-                + u16::from(bottom[2 * x + 1]);
-            *value = u8::try_from((sum + 2) >> 2).unwrap_or(u8::MAX);
+        let top = data[2 * y * stride..][..2 * w].chunks_exact(2);
+        let bottom = data[(2 * y + 1) * stride..][..2 * w].chunks_exact(2);
+        for ((value, top), bottom) in row.iter_mut().zip(top).zip(bottom) {
+            let sum = u16::from(top[0]) + u16::from(top[1]) + u16::from(bottom[0]) + u16::from(bottom[1]);
+            *value = ((sum + 2) >> 2).to_le_bytes()[0];
         }
     }
-    let (w, h) = (image.width() / 2, image.height() / 2);
-    GrayImage::from_raw(w, h, out).expect("the buffer has w * h bytes")
+    *half = with_size(image.width() / 2, image.height() / 2, out);
+}
+
+fn copy(image: &GrayImage, to: &mut GrayImage) {
+    let mut out = std::mem::take(to).into_raw();
+    out.clear();
+    out.extend_from_slice(image.as_raw());
+    *to = with_size(image.width(), image.height(), out);
+}
+
+fn with_size(width: u32, height: u32, data: Vec<u8>) -> GrayImage {
+    GrayImage::from_raw(width, height, data).expect("the buffer has a byte for every pixel")
 }
 
 #[cfg(test)]

@@ -39,7 +39,7 @@ struct Scale {
 
 impl Reference {
     pub(crate) fn new(scene: &Scene) -> Self {
-        let mut cpu = CpuBackend::new();
+        let mut cpu = CpuBackend::twin();
         let model = cpu.load(&scene.model).expect("the CPU takes every model");
         cpu.set_frame(&scene.image, 1).expect("the CPU takes every frame");
         let mut sums = Sums::default();

@@ -2,6 +2,7 @@
 
 pub mod accumulate;
 pub mod downsample;
+mod fast;
 pub mod linearize;
 
 use image::GrayImage;
@@ -11,67 +12,161 @@ use super::{Backend, Linearization, ModelId, Request, Sums};
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
+use fast::{FastLevel, Pairs, Tile};
 
-/// Does the image work on the CPU.
-#[derive(Debug, Default)]
-pub struct CpuBackend {
-    models: Vec<Vec<LevelTemplate>>,
-    frame: Pyramid,
+/// A thread of the fast implementation gets at least this many pixels (times poses): waking a thread for less costs
+/// more processor time than it saves.
+const PIXELS_PER_THREAD: usize = 48_000;
+/// Poses that share a pass over the template at most; so many rows stay in the cache.
+const POSES_PER_PASS: usize = 16;
+
+/// How the CPU backend does its work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Implementation {
+    /// f32 in vectors.
+    Fast(Instructions),
+    /// The readable twins of the shaders in f64: the reference of all others.
+    Twin,
 }
 
-impl CpuBackend {
-    /// A backend without models or frame.
-    pub fn new() -> Self {
-        Self::default()
+impl Default for Implementation {
+    fn default() -> Self {
+        Self::Fast(Instructions::Best)
+    }
+}
+
+/// Vector instructions of the fast implementation; what the processor lacks falls back to the best it has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Instructions {
+    /// The widest the processor has.
+    #[default]
+    Best,
+    /// At most AVX2 with FMA.
+    Avx2,
+    /// At most SSE4.2.
+    Sse42,
+}
+
+/// A level, also as the fast implementation wants it.
+#[derive(Debug)]
+struct Loaded {
+    template: LevelTemplate,
+    fast: Option<FastLevel>,
+}
+
+/// Does the image work on the CPU.
+#[derive(Debug)]
+pub struct CpuBackend {
+    implementation: Implementation,
+    level: fearless_simd::Level,
+    models: Vec<Vec<Loaded>>,
+    frame: Pyramid,
+    /// The frame as the fast implementation wants it.
+    pairs: Vec<Pairs>,
+}
+
+impl Default for CpuBackend {
+    fn default() -> Self {
+        Self::with(Implementation::default())
     }
 }
 
 impl CpuBackend {
-    /// The template and the image a request is about, its sizes checked.
-    fn find(&self, request: &Request<'_>) -> Result<(&LevelTemplate, &GrayImage)> {
+    /// The fast implementation, without models or frame.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The readable reference, some ten times slower.
+    pub fn twin() -> Self {
+        Self::with(Implementation::Twin)
+    }
+
+    /// A backend that works in the given way.
+    pub fn with(implementation: Implementation) -> Self {
+        let instructions = match implementation {
+            Implementation::Fast(instructions) => instructions,
+            Implementation::Twin => Instructions::Best,
+        };
+        Self {
+            implementation,
+            level: fast::level(instructions),
+            models: Vec::new(),
+            frame: Pyramid::default(),
+            pairs: Vec::new(),
+        }
+    }
+
+    /// Name of the vector instructions in use.
+    pub fn instructions(&self) -> String {
+        match self.implementation {
+            Implementation::Fast(_) => fast::name(self.level),
+            Implementation::Twin => "scalar".into(),
+        }
+    }
+
+    /// Bytes that one pass of the fast implementation over a level of a model reads; 0 for the twin.
+    pub fn bytes_per_pass(&self, model: ModelId, level: usize) -> usize {
+        let level = self.models.get(model.0).and_then(|levels| levels.get(level));
+        level.and_then(|level| level.fast.as_ref()).map_or(0, FastLevel::bytes)
+    }
+}
+
+impl CpuBackend {
+    /// The level a request is about, its sizes checked.
+    fn find(&self, request: &Request<'_>) -> Result<&Loaded> {
         let level = self
             .models
             .get(request.model.0)
             .and_then(|levels| levels.get(request.level))
             .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
-        request.check(level.charts.len(), level.pixels.modes.len(), self.frame.len())?;
-        Ok((level, self.frame.level(request.level)))
+        request.check(level.template.charts.len(), level.template.pixels.modes.len(), self.frame.len())?;
+        Ok(level)
     }
 }
 
 impl Backend for CpuBackend {
     fn name(&self) -> String {
-        "cpu".into()
+        match self.implementation {
+            Implementation::Fast(_) => "cpu".into(),
+            Implementation::Twin => "cpu (twin)".into(),
+        }
     }
 
     fn load(&mut self, model: &Model) -> Result<ModelId> {
-        self.models.push(model.levels.clone());
+        let is_fast = self.implementation != Implementation::Twin;
+        let load = |level: &LevelTemplate| Loaded {
+            template: level.clone(),
+            fast: is_fast.then(|| FastLevel::new(level)),
+        };
+        self.models.push(model.levels.iter().map(load).collect());
         Ok(ModelId(self.models.len() - 1))
     }
 
     fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()> {
-        self.frame = Pyramid::new(image.clone(), levels);
+        self.frame.rebuild(image, levels);
+        if self.implementation != Implementation::Twin {
+            self.pairs.resize_with(self.frame.len(), Pairs::default);
+            for (level, pairs) in self.pairs.iter_mut().enumerate() {
+                pairs.fill(self.frame.level(level));
+            }
+        }
         Ok(())
     }
 
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()> {
-        let (level, image) = self.find(request)?;
-        let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+        let level = self.find(request)?;
+        let (triangles, modes) = (level.template.charts.len(), level.template.pixels.modes.len());
         sums.reset(request.items, triangles, modes);
-        let row_len = Sums::row_len(modes);
-        sums.data_mut().par_chunks_mut(row_len).with_min_len(16).enumerate().for_each(|(i, row)| {
-            let warp = &request.warps[i];
-            let (item, triangle) = (i / triangles, i % triangles);
-            let appearance = &request.appearance[item * modes..][..modes];
-            if warp.active {
-                accumulate::accumulate(&level.pixels, &level.charts[triangle], warp, appearance, image, row);
-            }
-        });
+        match &level.fast {
+            Some(level) => self.accumulate_fast(level, request, sums),
+            None => accumulate_twin(&level.template, request, self.frame.level(request.level), sums),
+        }
         Ok(())
     }
 
     fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()> {
-        let (level, image) = self.find(request)?;
+        let (level, image) = (&self.find(request)?.template, self.frame.level(request.level));
         let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
         out.reset(request.items, triangles, modes);
         let (first, second) = out.data_mut();
@@ -88,4 +183,55 @@ impl Backend for CpuBackend {
         });
         Ok(())
     }
+}
+
+impl CpuBackend {
+    /// Cuts the rows into tiles that are worth a thread: runs of poses, or of triangles for a single pose.
+    fn accumulate_fast(&self, level: &FastLevel, request: &Request<'_>, sums: &mut Sums) {
+        let (image, triangles) = (&self.pairs[request.level], level.triangles.len());
+        let row_len = Sums::row_len(level.modes);
+        let work = request.items * level.padded_pixels();
+        let threads = (work / PIXELS_PER_THREAD).clamp(1, rayon::current_num_threads());
+        let run = |items, triangles, rows: &mut [f64]| {
+            fast::accumulate(self.level, level, request, image, Tile { items, triangles, rows });
+        };
+        if triangles == 0 || request.items == 0 {
+            return;
+        }
+        if request.items == 1 {
+            let per_tile = triangles.div_ceil(threads);
+            let tile = |(k, rows): (usize, &mut [f64])| {
+                run(0..1, k * per_tile..((k + 1) * per_tile).min(triangles), rows);
+            };
+            each(threads, sums.data_mut(), per_tile * row_len, tile);
+        } else {
+            let per_tile = request.items.div_ceil(threads).min(POSES_PER_PASS);
+            let tile = |(k, rows): (usize, &mut [f64])| {
+                run(k * per_tile..((k + 1) * per_tile).min(request.items), 0..triangles, rows);
+            };
+            each(threads, sums.data_mut(), per_tile * triangles * row_len, tile);
+        }
+    }
+}
+
+/// Calls `tile` for every run of `len` numbers; on this thread where one is enough, which allocates nothing.
+fn each(threads: usize, data: &mut [f64], len: usize, tile: impl Fn((usize, &mut [f64])) + Send + Sync) {
+    if threads == 1 {
+        data.chunks_mut(len).enumerate().for_each(tile);
+    } else {
+        data.par_chunks_mut(len).enumerate().for_each(tile);
+    }
+}
+
+fn accumulate_twin(level: &LevelTemplate, request: &Request<'_>, image: &GrayImage, sums: &mut Sums) {
+    let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+    let row_len = Sums::row_len(modes);
+    sums.data_mut().par_chunks_mut(row_len).with_min_len(16).enumerate().for_each(|(i, row)| {
+        let warp = &request.warps[i];
+        let (item, triangle) = (i / triangles, i % triangles);
+        let appearance = &request.appearance[item * modes..][..modes];
+        if warp.active {
+            accumulate::accumulate(&level.pixels, &level.charts[triangle], warp, appearance, image, row);
+        }
+    });
 }

@@ -1,0 +1,36 @@
+//! An image in which the four neighbours of a position lie side by side.
+
+use image::GrayImage;
+
+/// Rows of vertical pairs: pixel (x, y) is followed by pixel (x, y + 1), so that one load of 4 bytes brings all that
+/// bilinear sampling needs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Pairs {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    bytes: Vec<u8>,
+}
+
+impl Pairs {
+    /// Takes over an image. Keeps its memory.
+    pub(crate) fn fill(&mut self, image: &GrayImage) {
+        (self.width, self.height) = image.dimensions();
+        let stride = self.width as usize;
+        let (upper, rest) = (image.as_raw().as_slice(), stride.min(image.as_raw().len()));
+        let lower = &upper[rest..];
+        self.bytes.resize(2 * lower.len(), 0);
+        for ((pair, a), b) in self.bytes.chunks_exact_mut(2).zip(upper).zip(lower) {
+            pair.copy_from_slice(&[*a, *b]);
+        }
+    }
+
+    /// Bytes (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1) from the lowest on; 0 outside.
+    #[inline(always)]
+    pub(super) fn quad(&self, index: u32) -> u32 {
+        let at = 2 * index as usize;
+        match self.bytes.get(at..at + 4) {
+            Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
+            _ => 0,
+        }
+    }
+}

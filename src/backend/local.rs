@@ -1,0 +1,60 @@
+//! Charts seen from their own middle: what lets f32 hold positions and warps without losing anything.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::TriangleWarp;
+use crate::model::{Chart, LevelTemplate};
+
+/// The warp of one triangle in f32: (u, v, 1) relative to the chart's centre to the homogeneous image position
+/// relative to an integer base pixel near the warped centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LocalWarp {
+    /// Rows of the homography.
+    pub(super) rows: [[f32; 3]; 3],
+    /// The base pixel, whole numbers.
+    pub(super) base: [f32; 2],
+}
+
+impl LocalWarp {
+    /// Both shifts are made in f64, so that f32 holds only distances within the chart.
+    pub(super) fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
+        /// Largest base, pixels: f32 holds it and its neighbours exactly.
+        const LIMIT: f64 = 4_194_304.0;
+        let mut h = warp.image_from_chart;
+        let at = h * Vector3::new(centre.x, centre.y, 1.0);
+        h.set_column(2, &at);
+        let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
+        let base = [near(at.x), near(at.y), 0.0];
+        #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
+        let row = |i: usize| [0, 1, 2].map(|j| (h[(i, j)] - base[i] * h[(2, j)]) as f32);
+        #[expect(clippy::cast_possible_truncation, reason = "whole numbers below the limit")]
+        Self { rows: [0, 1, 2].map(row), base: [base[0] as f32, base[1] as f32] }
+    }
+}
+
+/// A pixel in the middle of a chart, relative to the chart's origin.
+pub(super) fn centre(template: &LevelTemplate, chart: &Chart) -> Vector2<f64> {
+    let positions = &template.pixels.position[chart.range()];
+    let first = positions.first().copied().unwrap_or_default();
+    let (lo, hi) = positions.iter().fold((first, first), |(lo, hi), p| {
+        ([lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])])
+    });
+    let [u, v] = [0, 1].map(|k| f64::from(hi[k] - (hi[k] - lo[k]) / 2));
+    Vector2::new(u, v)
+}
+
+/// A position relative to the chart's centre as two signed 16-bit numbers, u in the low half.
+pub(super) fn pack(position: [u16; 2], centre: Vector2<f64>) -> u32 {
+    let shifted = [f64::from(position[0]) - centre.x, f64::from(position[1]) - centre.y];
+    #[expect(clippy::cast_possible_truncation, reason = "the centre is in the middle of a u16 range")]
+    let [u, v] = shifted.map(|x| u32::from((x as i16).cast_unsigned()));
+    u | v << 16
+}
+
+/// Moves the gradient sums of a row from the chart's centre to its origin.
+pub(super) fn to_origin(row: &mut [f64], centre: Vector2<f64>) {
+    for gradient in row[..6].chunks_exact_mut(3) {
+        gradient[0] += centre.x * gradient[2];
+        gradient[1] += centre.y * gradient[2];
+    }
+}

@@ -1,0 +1,123 @@
+//! The tables for people.
+
+use std::fmt::Write as _;
+
+use super::Summary;
+use super::measure::PassFigures;
+
+const HEAD: &str = "# Benchmarks
+
+Written by `aam6d bench --write`; run it to get yours. Times of a shared machine vary by half; ratios within one run
+mean more than figures. CPU time is that of the whole process, a software GPU included, and the best of all rounds
+in which the backends take turns; `cpu` is the fast implementation, `cpu (twin)` the readable reference in f64.
+";
+
+/// The document.
+pub(super) fn markdown(summary: &Summary) -> Result<String, std::fmt::Error> {
+    let mut text = HEAD.to_owned();
+    machine(&mut text, summary)?;
+    passes(&mut text, summary)?;
+    frames(&mut text, summary)?;
+    throughput(&mut text, summary)?;
+    loads(&mut text, summary)?;
+    Ok(text)
+}
+
+fn machine(text: &mut String, summary: &Summary) -> std::fmt::Result {
+    let m = &summary.machine;
+    writeln!(text, "\n| | |\n|---|---|")?;
+    writeln!(
+        text,
+        "| program | {} ({}), {} build |",
+        m.version,
+        m.commit.as_deref().unwrap_or("?"),
+        m.profile
+    )?;
+    writeln!(text, "| CPU | {}, {} cores, {} |", m.cpu, m.cores, m.instructions)?;
+    let none = "none".to_owned();
+    let [adapter, driver] = [&m.adapter, &m.driver].map(|x| x.as_ref().unwrap_or(&none));
+    writeln!(text, "| adapter | {adapter}, driver {driver} |")?;
+    writeln!(
+        text,
+        "| workload | simulated relief, 640x480, {} triangles, {:?} pixels per level |",
+        summary.triangles, summary.template_px
+    )?;
+    let e = summary.effort;
+    writeln!(text, "| effort | {} rounds, {} frames |", e.rounds, e.frames)
+}
+
+fn passes(text: &mut String, summary: &Summary) -> std::fmt::Result {
+    writeln!(
+        text,
+        "\n## Stages\n\nCPU time per pixel and iteration on one thread, full size. The limit is the time to read the bytes of\n\
+         the template once and do nothing else.\n\n\
+         | stage | backend | l | ns per px | times the limit | bytes per px | twin / this |\n|---|---|---|---|---|---|---|"
+    )?;
+    for pass in &summary.passes {
+        for stage in &pass.stages {
+            let (l, ns) = (pass.modes, stage.ns_per_px);
+            if stage.stage == "accumulate" {
+                let over = ns / pass.limit_ns_per_px;
+                let ratio = twin(pass) / ns;
+                writeln!(
+                    text,
+                    "| accumulate | {} | {l} | {ns:.2} | {over:.2} | {:.0} | {ratio:.1} |",
+                    stage.backend, pass.bytes_per_px
+                )?;
+            }
+        }
+        writeln!(text, "| accumulate | limit | {} | {:.2} | 1 | | |", pass.modes, pass.limit_ns_per_px)?;
+    }
+    let downsample = summary.passes.iter().flat_map(|p| &p.stages).filter(|s| s.stage == "downsample");
+    let best = downsample.map(|s| s.ns_per_px).fold(f64::INFINITY, f64::min);
+    writeln!(text, "| downsample | cpu | | {best:.2} | | | |")
+}
+
+fn twin(pass: &PassFigures) -> f64 {
+    pass.stages.first().map_or(f64::NAN, |s| s.ns_per_px)
+}
+
+fn frames(text: &mut String, summary: &Summary) -> std::fmt::Result {
+    writeln!(
+        text,
+        "\n## One stream\n\nMedian per frame, all three levels, from image to pose; CPU backends on one thread.\n\n\
+         | backend | l | CPU ms | wall ms | iterations | lost |\n|---|---|---|---|---|---|"
+    )?;
+    for f in &summary.frames {
+        let t = f.per_frame;
+        writeln!(
+            text,
+            "| {} | {} | {:.2} | {:.2} | {:.1} | {} |",
+            f.backend, f.modes, t.cpu_ms, t.wall_ms, f.iterations, f.lost
+        )?;
+    }
+    Ok(())
+}
+
+fn throughput(text: &mut String, summary: &Summary) -> std::fmt::Result {
+    writeln!(
+        text,
+        "\n## Many poses of one object in one frame\n\nl = 4, all cores.\n\n\
+         | backend | poses B | poses per second | CPU ms per pose |\n|---|---|---|---|"
+    )?;
+    for f in &summary.throughput {
+        let (b, per_second, cpu) = (f.poses, f.per_second, f.cpu_ms_per_pose);
+        writeln!(text, "| {} | {b} | {per_second:.0} | {cpu:.2} |", f.backend)?;
+    }
+    Ok(())
+}
+
+fn loads(text: &mut String, summary: &Summary) -> std::fmt::Result {
+    writeln!(
+        text,
+        "\n## Start\n\nOpening the backend and loading the model, shader compilation and warm-up included.\n\n\
+         | backend | l | wall ms |\n|---|---|---|"
+    )?;
+    for f in &summary.loads {
+        writeln!(text, "| {} | {} | {:.0} |", f.backend, f.modes, f.open_and_load.wall_ms)?;
+    }
+    match summary.peak_memory_mb {
+        Some(mb) => writeln!(text, "\nPeak memory of the whole run: {mb:.0} MB."),
+        None => Ok(()),
+    }
+}
