@@ -26,6 +26,14 @@ const MIN_VISIBLE: f64 = 0.5;
 /// Pyramid level on which template and image are correlated: at full size heavy noise hides a right pose.
 const SCORE_LEVEL: usize = 1;
 
+/// Pyramid level on which a prediction is picked up; coarser ones are for the search.
+const COARSEST_TRACKED: usize = 2;
+
+/// The levels on which a prediction is tracked, from coarse to fine.
+pub(super) fn tracked_levels(model: &Model) -> impl Iterator<Item = usize> + use<> {
+    (0..=COARSEST_TRACKED.min(model.levels.len() - 1)).rev()
+}
+
 /// Pyramid levels that a frame must have for [`scores`].
 pub(super) fn levels_for_scores(model: &Model) -> usize {
     model.levels.len().min(SCORE_LEVEL + 1)

@@ -4,7 +4,7 @@
 use nalgebra::Vector6;
 
 use super::derivative::Derivative;
-use super::evaluator::{End, Evaluator, check, finish, states_of, visibility};
+use super::evaluator::{End, Evaluator, check, finish, states_of, tracked_levels, visibility};
 use super::levenberg_marquardt::{State, Stop, solve};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::photometric::Grouping;
@@ -46,9 +46,6 @@ pub struct ForwardAdditive {
     /// Choices.
     pub options: ForwardOptions,
 }
-
-/// Pyramid level on which a prediction is picked up, as by the default method.
-const COARSEST_TRACKED: usize = 2;
 
 /// A descent on one level.
 struct Descent {
@@ -143,7 +140,7 @@ impl Aligner for ForwardAdditive {
         let mut states = states_of(starts);
         let mut totals = vec![(0, true); starts.len()];
         let mut last = Vec::new();
-        for level in (0..=COARSEST_TRACKED.min(target.model.levels.len() - 1)).rev() {
+        for level in tracked_levels(target.model) {
             last = self.level(backend, target, level, states)?;
             for ((iterations, converged), descent) in totals.iter_mut().zip(&last) {
                 *iterations += descent.iterations;

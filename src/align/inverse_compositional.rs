@@ -1,6 +1,6 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
-use super::evaluator::{End, Evaluator, check, finish, states_of, visibility};
+use super::evaluator::{End, Evaluator, check, finish, states_of, tracked_levels, visibility};
 use super::levenberg_marquardt::{Descent, Settings, State, Stop};
 use super::normal_equations::LevelProblem;
 use super::photometric::Grouping;
@@ -9,9 +9,6 @@ use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::model::Model;
-
-/// Pyramid level on which a prediction is picked up; coarser ones are for the search.
-const COARSEST_TRACKED: usize = 2;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -156,8 +153,7 @@ impl Aligner for InverseCompositional {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>> {
         check(target, starts)?;
-        let coarsest = COARSEST_TRACKED.min(target.model.levels.len() - 1);
-        let levels = (0..=coarsest).rev();
+        let levels = tracked_levels(target.model);
         let descents =
             self.coarse_to_fine(backend, target, levels, self.options.robust, states_of(starts))?;
         finish(backend, target, descents.into_iter().map(End::from).collect())

@@ -7,7 +7,7 @@ mod search;
 use image::GrayImage;
 use nalgebra::{Matrix6, RowVector6, Vector6};
 
-use super::evaluator::{Evaluator, check, levels_for_scores, scores, states_of, visibility};
+use super::evaluator::{Evaluator, check, levels_for_scores, scores, states_of, tracked_levels, visibility};
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost};
 use super::photometric::Grouping;
@@ -245,7 +245,7 @@ impl Aligner for Edge {
             let zero = Matrix6::zeros();
             let mut at =
                 Descent { pose: state.pose, iterations: 0, converged: true, hessian: zero, covariance: zero };
-            for level in (0..self.levels.len()).rev() {
+            for level in tracked_levels(target.model) {
                 self.level(target, pyramid.level(level), level, &mut at);
             }
             estimates.push(Self::finish(backend, target, start, &at)?);
