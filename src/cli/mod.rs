@@ -4,6 +4,7 @@ mod align;
 mod backend;
 mod demo;
 mod eval;
+mod experiment;
 mod frames;
 mod info;
 mod overlay;
@@ -42,6 +43,8 @@ enum Command {
     Align(align::Args),
     /// Judge poses against a reference
     Eval(eval::Args),
+    /// Compare the methods as the paper does: Table 1, figures, one page
+    Experiment(experiment::Args),
     /// Show the adapters, which one would be used and why, and test CPU against GPU
     Info(info::Args),
 }
@@ -75,6 +78,7 @@ fn execute(command: Command) -> anyhow::Result<()> {
         Command::Track(args) => track::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::Info(args) => info::run(&args),
     }
 }

@@ -1,0 +1,122 @@
+//! What is compared: methods, and the backends they run on.
+
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+
+use super::published::Published;
+use crate::align::{Aligner, InverseCompositional};
+use crate::backend::{Backend, CpuBackend};
+
+/// A method to compare.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Method {
+    /// The default method
+    InverseCompositional,
+}
+
+impl Method {
+    /// All of them, in the order of every table and legend.
+    pub(super) const ALL: [Self; 1] = [Self::InverseCompositional];
+
+    /// The name on the command line.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::InverseCompositional => "inverse-compositional",
+        }
+    }
+
+    /// The method of the paper's Table 1 it stands beside.
+    pub(super) fn counterpart(self) -> Published {
+        match self {
+            Self::InverseCompositional => Published::Proposed,
+        }
+    }
+
+    /// The method itself.
+    pub(super) fn aligner(self) -> Box<dyn Aligner> {
+        match self {
+            Self::InverseCompositional => Box::new(InverseCompositional::default()),
+        }
+    }
+}
+
+/// Which backends take part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Choice {
+    /// The CPU backend, and the GPU backend where there is an adapter
+    #[default]
+    Both,
+    /// The CPU backend
+    Cpu,
+    /// The GPU backend; an error if there is no adapter
+    Gpu,
+}
+
+/// A backend that takes part, or why it does not.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Engine {
+    /// `cpu` or `gpu`.
+    pub(super) name: String,
+    /// The adapter behind it; for the CPU backend its own name.
+    pub(super) device: Option<String>,
+    /// True where the GPU backend runs on a software adapter.
+    pub(super) software: bool,
+    /// Why it takes no part.
+    pub(super) absent: Option<String>,
+}
+
+impl Engine {
+    fn cpu() -> Self {
+        Self { name: "cpu".into(), device: Some(CpuBackend::new().name()), software: false, absent: None }
+    }
+
+    fn absent(why: String) -> Self {
+        Self { name: "gpu".into(), device: None, software: false, absent: Some(why) }
+    }
+
+    /// Opens it.
+    pub(super) fn open(&self, adapter: Option<&str>) -> anyhow::Result<Box<dyn Backend>> {
+        if self.name == "cpu" { Ok(Box::new(CpuBackend::new())) } else { open_gpu(adapter) }
+    }
+}
+
+/// The engines of a choice, those that are absent included.
+pub(super) fn engines(choice: Choice, adapter: Option<&str>) -> anyhow::Result<Vec<Engine>> {
+    match choice {
+        Choice::Cpu => {
+            anyhow::ensure!(adapter.is_none(), "--adapter chooses a GPU; leave it out with --backend cpu");
+            Ok(vec![Engine::cpu()])
+        }
+        Choice::Gpu => Ok(vec![gpu(adapter)?]),
+        Choice::Both if adapter.is_some() => Ok(vec![Engine::cpu(), gpu(adapter)?]),
+        Choice::Both => {
+            let gpu = gpu(None).unwrap_or_else(|why| Engine::absent(format!("{why:#}")));
+            Ok(vec![Engine::cpu(), gpu])
+        }
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn gpu(adapter: Option<&str>) -> anyhow::Result<Engine> {
+    let device = open_gpu(adapter)?.name();
+    let software = crate::backend::gpu::adapters().iter().any(|a| a.is_software && device.contains(&a.name));
+    Ok(Engine { name: "gpu".into(), device: Some(device), software, absent: None })
+}
+
+#[cfg(feature = "gpu")]
+fn open_gpu(adapter: Option<&str>) -> anyhow::Result<Box<dyn Backend>> {
+    let Ok(selection) = adapter.unwrap_or("auto").parse();
+    Ok(Box::new(crate::backend::GpuBackend::open(&selection)?))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpu(adapter: Option<&str>) -> anyhow::Result<Engine> {
+    open_gpu(adapter).map(|_| Engine::absent(String::new()))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open_gpu(_adapter: Option<&str>) -> anyhow::Result<Box<dyn Backend>> {
+    anyhow::bail!("this program was built without the feature `gpu`")
+}
