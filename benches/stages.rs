@@ -6,7 +6,7 @@ use std::hint::black_box;
 
 use aam6d::backend::cpu::downsample::downsample;
 use aam6d::backend::gpu::{GpuOptions, PyramidPlace};
-use aam6d::backend::{AdapterSelection, Backend, CpuBackend, GpuBackend, Sums};
+use aam6d::backend::{AdapterSelection, Backend, CpuBackend, GpuBackend, Linearization, Sums};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -45,6 +45,23 @@ fn bench_accumulate(c: &mut Criterion) {
     group.finish();
 }
 
+fn bench_linearize(c: &mut Criterion) {
+    let mut group = c.benchmark_group("linearize");
+    group.throughput(Throughput::Elements(PIXELS as u64));
+    for modes in MODES {
+        let scene = Scene::new(1, PIXELS, modes, 1);
+        for (name, mut backend) in backends() {
+            let model = backend.load(&scene.model).expect("the scene fits");
+            backend.set_frame(&scene.image, 1).expect("the frame fits");
+            let mut out = Linearization::default();
+            group.bench_function(BenchmarkId::new(name, format!("{modes}modes")), |b| {
+                b.iter(|| backend.linearize(black_box(&scene.request(model)), &mut out));
+            });
+        }
+    }
+    group.finish();
+}
+
 fn bench_downsample(c: &mut Criterion) {
     let image = scene::image(&mut ChaCha8Rng::seed_from_u64(1), 640, 480);
     let mut group = c.benchmark_group("downsample");
@@ -63,5 +80,5 @@ fn bench_downsample(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, bench_accumulate, bench_downsample);
+criterion_group!(benches, bench_accumulate, bench_linearize, bench_downsample);
 criterion_main!(benches);

@@ -11,7 +11,8 @@ use aam6d::imaging::GrayImage;
 use libtest_mimic::Failed;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use support::gpu::{open, shared, sums, trial};
+use support::gpu::{linearization, open, shared, sums, trial};
+use support::linear::LinearReference;
 use support::sums::Reference;
 use support::{Scene, image};
 
@@ -30,11 +31,18 @@ fn main() -> ExitCode {
             trials.push(trial(format!("accumulate/{pixels}px/{modes}modes"), move || {
                 accumulate_agrees(pixels, modes)
             }));
+            trials.push(trial(format!("linearize/{pixels}px/{modes}modes"), move || {
+                linearize_agrees(pixels, modes)
+            }));
         }
     }
     trials.extend([
         trial("accumulate/as_hardware", || accumulate_agrees_cut_for(false)),
         trial("accumulate/as_software", || accumulate_agrees_cut_for(true)),
+        trial("linearize/as_hardware", || linearize_agrees_cut_for(false)),
+        trial("linearize/as_software", || linearize_agrees_cut_for(true)),
+        trial("linearize/control", disturbed_linearizations_are_noticed),
+        trial("linearize/split", split_linearizations_are_equal),
         trial("accumulate/control_warp", a_moved_warp_is_noticed),
         trial("accumulate/control_pixel", a_changed_pixel_is_noticed),
         trial("accumulate/control_frame", a_changed_frame_is_noticed),
@@ -67,6 +75,53 @@ fn accumulate_agrees_cut_for(software: bool) -> Result<(), Failed> {
         Reference::new(&scene).compare(&scene, &sums(&mut gpu, &scene)?)?;
     }
     Ok(())
+}
+
+fn linearize_agrees(pixels: usize, modes: usize) -> Result<(), Failed> {
+    for items in ITEMS.into_iter().filter(|&items| items < 10) {
+        let scene = Scene::new(27 + items as u64, pixels, modes, items);
+        let found = linearization(&mut shared(), &scene)?;
+        LinearReference::new(&scene).compare(&scene, &found).map_err(|e| format!("{items} poses: {e}"))?;
+    }
+    Ok(())
+}
+
+fn linearize_agrees_cut_for(software: bool) -> Result<(), Failed> {
+    let mut gpu = open(GpuOptions { as_software: Some(software), ..GpuOptions::default() });
+    for (pixels, modes) in [(257, 0), (72_000, 4), (257, 24)] {
+        let scene = Scene::new(23, pixels, modes, 2);
+        LinearReference::new(&scene).compare(&scene, &linearization(&mut gpu, &scene)?)?;
+    }
+    Ok(())
+}
+
+/// A warp moved by a tenth of a pixel, a template pixel brighter by one, a coefficient of a mode changed by 0.1.
+fn disturbed_linearizations_are_noticed() -> Result<(), Failed> {
+    let scene = Scene::new(31, 257, 4, 1);
+    let reference = LinearReference::new(&scene);
+    reference.compare(&scene, &linearization(&mut shared(), &scene)?)?;
+    let mut disturbed = [scene.clone(), scene.clone(), scene.clone()];
+    let h = &mut disturbed[0].warps[0].image_from_chart;
+    let moved = h.row(0) + 0.1 * h.row(2);
+    h.set_row(0, &moved);
+    disturbed[1].model.levels[0].pixels.intensity[0] += 1.0;
+    disturbed[2].appearance[3] += 0.1;
+    for (k, disturbed) in disturbed.iter().enumerate() {
+        match reference.compare(&scene, &linearization(&mut shared(), disturbed)?) {
+            Err(report) if report.contains("pose 0 triangle 0:") => {}
+            Err(report) => return Err(format!("{k}: the wrong rows were reported: {report}").into()),
+            Ok(()) => return Err(format!("disturbance {k} went unnoticed").into()),
+        }
+    }
+    Ok(())
+}
+
+fn split_linearizations_are_equal() -> Result<(), Failed> {
+    let scene = Scene::new(25, 257, 4, 9);
+    let whole = linearization(&mut shared(), &scene)?;
+    let mut gpu = open(GpuOptions { max_dispatch_bytes: Some(1000), ..GpuOptions::default() });
+    let split = linearization(&mut gpu, &scene)?;
+    if split == whole { Ok(()) } else { Err("small dispatches give other sums".into()) }
 }
 
 /// What comes of a scene on the device must not pass as what the twin makes of another.

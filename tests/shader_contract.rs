@@ -5,12 +5,16 @@ use std::mem::offset_of;
 
 use aam6d::backend::gpu::buffers::{Chunk, Halving, Level, Warp};
 use aam6d::backend::gpu::shaders::{
-    ACCUMULATE, DOWNSAMPLE, Kind, Partition, REDUCE, Stage, WORKGROUP_BYTES, sum_planes,
+    ACCUMULATE, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, Stage, WORKGROUP_BYTES, accumulate_planes,
+    linearize_planes,
 };
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, Literal, Module, StorageAccess, TypeInner};
 
-const STAGES: [Stage; 2] = [DOWNSAMPLE, ACCUMULATE];
+const STAGES: [Stage; 3] = [DOWNSAMPLE, ACCUMULATE, LINEARIZE];
+/// The stages that add up chunks of charts, and how many planes of sums the host thinks they have.
+const CHART_STAGES: [(Stage, fn(u32) -> u32); 2] =
+    [(ACCUMULATE, accumulate_planes), (LINEARIZE, linearize_planes)];
 const MODE_PLANES: [u32; 6] = [0, 1, 2, 3, 4, 16];
 
 fn parse(text: &str) -> Module {
@@ -132,25 +136,48 @@ fn bindings_are_the_ones_the_host_makes() {
     }
 }
 
+fn constants_of((stage, planes): (Stage, fn(u32) -> u32), mode_planes: u32) {
+    let module = parse(&stage.text(mode_planes));
+    let value = |name: &str| {
+        let (_, constant) = module
+            .constants
+            .iter()
+            .find(|(_, c)| c.name.as_deref() == Some(name))
+            .unwrap_or_else(|| panic!("no constant {name}"));
+        match module.global_expressions[constant.init] {
+            Expression::Literal(Literal::U32(value)) => value,
+            ref other => panic!("{name} is {other:?}"),
+        }
+    };
+    assert_eq!(value("MODE_PLANES"), mode_planes, "MODE_PLANES");
+    assert_eq!(value("SUM_PLANES"), planes(mode_planes), "SUM_PLANES of {}", stage.name);
+    assert_eq!(value("REDUCE"), REDUCE, "REDUCE");
+}
+
 #[test]
 fn constants_agree() {
     for mode_planes in MODE_PLANES {
-        let module = parse(&ACCUMULATE.text(mode_planes));
-        let value = |name: &str| {
-            let (_, constant) = module
-                .constants
-                .iter()
-                .find(|(_, c)| c.name.as_deref() == Some(name))
-                .unwrap_or_else(|| panic!("no constant {name}"));
-            match module.global_expressions[constant.init] {
-                Expression::Literal(Literal::U32(value)) => value,
-                ref other => panic!("{name} is {other:?}"),
-            }
-        };
-        assert_eq!(value("MODE_PLANES"), mode_planes, "MODE_PLANES");
-        assert_eq!(value("SUM_PLANES"), sum_planes(mode_planes), "SUM_PLANES");
-        assert_eq!(value("REDUCE"), REDUCE, "REDUCE");
+        CHART_STAGES.into_iter().for_each(|stage| constants_of(stage, mode_planes));
     }
+}
+
+fn workgroup_of((stage, planes): (Stage, fn(u32) -> u32), partition: Partition, mode_planes: u32) {
+    let workgroup = partition.workgroup_for(planes(mode_planes));
+    assert!(workgroup.is_multiple_of(REDUCE) && workgroup <= 256, "workgroups of {workgroup}");
+    let module = with_workgroup(&stage, mode_planes, workgroup);
+    assert_eq!(module.entry_points[0].workgroup_size, [workgroup, 1, 1], "workgroup size");
+    let shared: u32 = module
+        .global_variables
+        .iter()
+        .filter(|(_, v)| v.space == AddressSpace::WorkGroup)
+        .map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()))
+        .sum();
+    let name = stage.name;
+    assert_eq!(shared, workgroup * planes(mode_planes) * 16, "{name}: the host knows what is shared");
+    assert!(
+        shared <= WORKGROUP_BYTES,
+        "{name}: {shared} bytes shared by {workgroup}, {mode_planes} mode planes"
+    );
 }
 
 #[test]
@@ -158,21 +185,7 @@ fn workgroups_fit_every_device() {
     for is_software in [false, true] {
         let partition = Partition::of_adapter(is_software);
         for mode_planes in MODE_PLANES {
-            let workgroup = partition.accumulate_workgroup(mode_planes);
-            assert!(workgroup.is_multiple_of(REDUCE) && workgroup <= 256, "workgroups of {workgroup}");
-            let module = with_workgroup(&ACCUMULATE, mode_planes, workgroup);
-            assert_eq!(module.entry_points[0].workgroup_size, [workgroup, 1, 1], "workgroup size");
-            let shared: u32 = module
-                .global_variables
-                .iter()
-                .filter(|(_, v)| v.space == AddressSpace::WorkGroup)
-                .map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()))
-                .sum();
-            assert_eq!(shared, workgroup * sum_planes(mode_planes) * 16, "the host knows what is shared");
-            assert!(
-                shared <= WORKGROUP_BYTES,
-                "{shared} bytes shared by {workgroup}, {mode_planes} mode planes"
-            );
+            CHART_STAGES.into_iter().for_each(|stage| workgroup_of(stage, partition, mode_planes));
         }
         let module = with_workgroup(&DOWNSAMPLE, 0, partition.workgroup);
         assert_eq!(module.entry_points[0].workgroup_size, [partition.workgroup, 1, 1], "workgroup size");

@@ -19,6 +19,23 @@ pub(super) fn covariance(equations: &NormalEquations) -> Matrix6<f64> {
     })
 }
 
+/// The covariance of an increment on the left about the camera's origin, `[tx ty tz rx ry rz]` in the axes of the
+/// camera, turned into that of one on the right about `centre` in object axes, which [`to_ros_order`] takes.
+pub(super) fn from_reference_axes(
+    covariance: &Matrix6<f64>,
+    camera_from_object: &Pose,
+    centre: &Point3<f64>,
+) -> Matrix6<f64> {
+    // The centre moves by t + w x c = t - [c]x w in the camera; seen in object axes that is R^T times it.
+    let r: Matrix3<f64> = camera_from_object.rotation().transpose();
+    let c = camera_from_object.transform_point(centre);
+    let mut j = Matrix6::zeros();
+    j.fixed_view_mut::<3, 3>(0, 0).copy_from(&r);
+    j.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-r * skew(&c.coords)));
+    j.fixed_view_mut::<3, 3>(3, 3).copy_from(&r);
+    j * covariance * j.transpose()
+}
+
 /// The covariance in ROS order `x y z rotX rotY rotZ` (metres, radians, fixed axes of the camera frame): errors of
 /// the object's origin and of its orientation, from the tracker's covariance in object axes about `centre`.
 pub fn to_ros_order(

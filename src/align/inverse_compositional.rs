@@ -1,25 +1,14 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
-use super::covariance::covariance;
+use super::evaluator::{End, Evaluator, check, finish, states_of, visibility};
 use super::levenberg_marquardt::{Descent, Settings, State, Stop};
-use super::normal_equations::{LevelProblem, Rows};
-use super::photometric::{Grouping, Groups};
+use super::normal_equations::LevelProblem;
+use super::photometric::Grouping;
 use super::robust::Redescent;
-use super::score::Score;
 use super::{Aligner, PoseEstimate, Start, Target};
-use crate::backend::{Backend, Request, Sums, TriangleWarp};
-use crate::error::{Error, Result};
-use crate::geometry::Pose;
-use crate::geometry::raster::{facing, visible_shares};
-use crate::geometry::warp::homography;
+use crate::backend::Backend;
+use crate::error::Result;
 use crate::model::Model;
-
-/// Triangles seen more obliquely than this cosine are left out.
-const MIN_COSINE: f64 = 0.06;
-/// Visibility is judged on an image of this pyramid level.
-const VISIBILITY_LEVEL: usize = 2;
-/// Triangles with less than this share free of occlusion by the object itself are left out.
-const MIN_VISIBLE: f64 = 0.5;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,7 +58,7 @@ impl InverseCompositional {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
-            redescent: self.options.robust.then_some(Redescent { full: 1.0, zero: 3.0 }),
+            redescent: self.options.robust.then_some(Redescent::DEFAULT),
         }
     }
 
@@ -80,17 +69,10 @@ impl InverseCompositional {
         level: usize,
         states: Vec<State>,
     ) -> Result<Vec<Descent>> {
-        let template = &target.model.levels[level];
-        let grouping = if level == 0 { self.options.full_size_grouping } else { Grouping::FaceAndView };
-        let problem = LevelProblem {
-            level: template,
-            camera: target.camera.at_level(level),
-            groups: Groups::new(grouping, &target.model.shape, template),
-            centre: target.model.shape.centre,
-        };
+        let problem = LevelProblem::new(target, level, self.options.full_size_grouping);
         let settings = self.settings(level);
         let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
-        let mut evaluator = Evaluator { backend, target, level, problem: &problem, sums: Sums::default() };
+        let mut evaluator = Evaluator::new(backend, target, level, &problem);
         evaluator.evaluate(states.iter().zip(&visibility))?;
         let mut descents = Vec::with_capacity(states.len());
         for (i, (state, visibility)) in states.into_iter().zip(visibility).enumerate() {
@@ -126,10 +108,7 @@ impl Aligner for InverseCompositional {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>> {
         check(target, starts)?;
-        let mut states: Vec<State> = starts
-            .iter()
-            .map(|s| State { pose: s.camera_from_object.renormalised(), appearance: s.appearance.clone() })
-            .collect();
+        let mut states = states_of(starts);
         let mut iterations = vec![0; starts.len()];
         let mut converged = vec![true; starts.len()];
         let mut last = Vec::new();
@@ -141,89 +120,10 @@ impl Aligner for InverseCompositional {
             }
             states = last.iter().map(|d| d.state.clone()).collect();
         }
-        let estimate = |(i, d): (usize, Descent)| finish(target, d, iterations[i], converged[i]);
-        Ok(last.into_iter().enumerate().map(estimate).collect())
-    }
-}
-
-fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
-    let modes = target.model.modes();
-    for (i, start) in starts.iter().enumerate() {
-        if !start.camera_from_object.is_finite() {
-            return Err(Error::invalid(format!("start pose {i}"), "it is not finite", "give a valid pose"));
-        }
-        if start.appearance.len() != modes {
-            let problem = format!("{} appearance parameters, the model has {modes}", start.appearance.len());
-            return Err(Error::invalid(format!("start {i}"), problem, "give one per mode, 0 for the mean"));
-        }
-    }
-    Ok(())
-}
-
-fn finish(target: &Target<'_>, descent: Descent, iterations: usize, converged: bool) -> PoseEstimate {
-    let level = &target.model.levels[0];
-    let rows = Rows { data: &descent.rows, row_len: Sums::row_len(target.model.modes()) };
-    PoseEstimate {
-        score: Score::new(level, &rows, &descent.visibility, &descent.state.appearance),
-        covariance: covariance(&descent.equations),
-        rms: if descent.equations.cost.is_finite() { descent.equations.cost.max(0.0).sqrt() } else { 0.0 },
-        camera_from_object: descent.state.pose,
-        appearance: descent.state.appearance,
-        iterations,
-        converged,
-    }
-}
-
-/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden.
-fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
-    let mesh = &target.model.shape.mesh;
-    let shares = visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose);
-    let keep = |(t, share): (usize, f64)| {
-        let seen = share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        if seen { share } else { 0.0 }
-    };
-    shares.into_iter().enumerate().map(keep).collect()
-}
-
-/// Runs the `accumulate` stage for many states of one level.
-struct Evaluator<'a> {
-    backend: &'a mut dyn Backend,
-    target: &'a Target<'a>,
-    level: usize,
-    problem: &'a LevelProblem<'a>,
-    sums: Sums,
-}
-
-impl Evaluator<'_> {
-    fn evaluate<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>) -> Result<()> {
-        let (mut warps, mut appearance, mut items) = (Vec::new(), Vec::new(), 0);
-        for (state, visibility) in states {
-            items += 1;
-            #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
-            appearance.extend(state.appearance.iter().map(|a| *a as f32));
-            for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
-                let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
-                warps.push(geometry.map_or(
-                    TriangleWarp { image_from_chart: nalgebra::Matrix3::zeros(), active: false },
-                    |g| TriangleWarp {
-                        image_from_chart: homography(&self.problem.camera, &state.pose, &g.object_from_chart),
-                        active: true,
-                    },
-                ));
-            }
-        }
-        let request = Request {
-            model: self.target.id,
-            level: self.level,
-            items,
-            warps: &warps,
-            appearance: &appearance,
-        };
-        self.backend.accumulate(&request, &mut self.sums)
-    }
-
-    fn rows(&self, item: usize) -> Rows<'_> {
-        let row_len = Sums::row_len(self.target.model.modes());
-        Rows { data: self.sums.item(item), row_len }
+        let ends = last.into_iter().enumerate().map(|(i, d)| {
+            let end = End { state: d.state, rows: d.rows, visibility: d.visibility, equations: d.equations };
+            finish(target, end, iterations[i], converged[i])
+        });
+        Ok(ends.collect())
     }
 }

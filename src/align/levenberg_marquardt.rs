@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, Vector6};
 
+use super::derivative::Derivative;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::robust::{Redescent, triangle_weights};
 use crate::geometry::Pose;
@@ -63,7 +64,9 @@ impl Descent {
         rows: Rows<'_>,
     ) -> Self {
         let weights = triangle_weights(problem, &rows, &visibility, settings.redescent);
-        let equations = NormalEquations::assemble(problem, &state.pose, &state.appearance, &rows, &weights);
+        let State { pose, appearance } = &state;
+        let equations =
+            NormalEquations::assemble(problem, pose, appearance, &rows, &weights, Derivative::Template);
         Self {
             state,
             rows: rows.data.to_vec(),
@@ -116,7 +119,14 @@ impl Descent {
             self.rows.copy_from_slice(rows.data);
             self.weights = triangle_weights(problem, &rows, &self.visibility, settings.redescent);
             let State { pose, appearance } = &self.state;
-            self.equations = NormalEquations::assemble(problem, pose, appearance, &rows, &self.weights);
+            self.equations = NormalEquations::assemble(
+                problem,
+                pose,
+                appearance,
+                &rows,
+                &self.weights,
+                Derivative::Template,
+            );
         } else {
             self.damping *= 10.0;
             if self.damping > MAX_DAMPING {
@@ -127,7 +137,7 @@ impl Descent {
 }
 
 /// d = -(JtQJ + damping diag(JtQJ))^-1 JtQr with normalised columns; `None` if not positive definite.
-fn solve(equations: &NormalEquations, damping: f64) -> Option<DVector<f64>> {
+pub(super) fn solve(equations: &NormalEquations, damping: f64) -> Option<DVector<f64>> {
     let diagonal = equations.hessian.diagonal();
     if diagonal.iter().any(|d| *d <= 0.0 || !d.is_finite()) {
         return None;

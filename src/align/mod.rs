@@ -1,13 +1,20 @@
 //! One frame: from a start pose to the pose that aligns the template with the image.
 
 mod covariance;
+mod derivative;
+mod edge;
+mod evaluator;
+mod forward_additive;
 mod inverse_compositional;
 mod levenberg_marquardt;
+mod method;
 mod normal_equations;
+mod paper;
 mod photometric;
 mod robust;
 mod score;
 
+use image::GrayImage;
 use nalgebra::Matrix6;
 
 use crate::backend::{Backend, ModelId};
@@ -16,7 +23,11 @@ use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
 pub use covariance::to_ros_order;
+pub use edge::{Edge, EdgeOptions};
+pub use forward_additive::{ForwardAdditive, ForwardOptions};
 pub use inverse_compositional::{InverseCompositional, Options};
+pub use method::Method;
+pub use paper::{Order, Paper, PaperOptions};
 pub use photometric::Grouping;
 pub use score::Score;
 
@@ -29,6 +40,8 @@ pub struct Target<'a> {
     pub id: ModelId,
     /// Camera of the current (rectified) frame, full size.
     pub camera: Camera,
+    /// The current (rectified) frame, full size: the one the backend has.
+    pub image: &'a GrayImage,
 }
 
 /// Where an alignment starts.
@@ -51,9 +64,9 @@ pub struct PoseEstimate {
     /// [`crate::model::Shape::centre`]; [`to_ros_order`] turns it into the camera frame. Zero where the pose is not
     /// determined.
     pub covariance: Matrix6<f64>,
-    /// Weighted root mean square residual after gain and bias, grey levels.
+    /// Weighted root mean square residual (after gain and bias, where the method has them), grey levels.
     pub rms: f64,
-    /// Solved Levenberg-Marquardt steps over all levels.
+    /// Solved steps over all levels or phases.
     pub iterations: usize,
     /// False if a level ran into the iteration limit or its equations could not be solved.
     pub converged: bool,
@@ -65,6 +78,15 @@ pub struct PoseEstimate {
 pub trait Aligner: Send {
     /// Pyramid levels the frame must have.
     fn levels(&self, model: &Model) -> usize;
+
+    /// Gets ready for a model that has just been loaded as `id`; called once before [`Self::align`]. Methods that
+    /// need nothing but the model itself do nothing here.
+    ///
+    /// # Errors
+    /// Those of [`Backend::load`], and [`crate::Error::Invalid`] if the model is of no use to the method.
+    fn prepare(&mut self, _backend: &mut dyn Backend, _model: &Model, _id: ModelId) -> Result<()> {
+        Ok(())
+    }
 
     /// Aligns every start on its own; estimates come in the order of the starts.
     ///

@@ -1,17 +1,14 @@
 //! JtQJ, JtQr and the cost at a pose, from triangle sums and moments (`docs/maths.md`, "Moments").
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Point3, Vector6};
 
-use super::photometric::{self, Groups, PRIOR_NOISE, Solution, centred};
+use super::Target;
+use super::derivative::{CornerMotion, Derivative, TrianglePart};
+use super::photometric::{self, Grouping, Groups, PRIOR_NOISE, Solution, centred};
 use crate::backend::SumsRow;
-use crate::geometry::warp::{affine, increment_jacobian};
 use crate::geometry::{Camera, Pose};
+use crate::model::LevelTemplate;
 use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
-use crate::model::{ChartGeometry, LevelTemplate};
-
-/// Triangles are back-facing or edge-on where det A falls below this share of its value |A|^2 / 2 for a warp that
-/// only turns and scales; relative, so that a distant object keeps its triangles.
-const MIN_DETERMINANT: f64 = 0.02;
 
 /// What stays the same while a level is aligned.
 #[derive(Debug)]
@@ -22,6 +19,21 @@ pub(super) struct LevelProblem<'a> {
     pub(super) groups: Groups,
     /// Centre of rotation, object frame.
     pub(super) centre: Point3<f64>,
+}
+
+impl<'a> LevelProblem<'a> {
+    /// A level of what is aligned; `at_full_size` says who shares gain and bias there, coarser levels always use
+    /// [`Grouping::FaceAndView`].
+    pub(super) fn new(target: &Target<'a>, level: usize, at_full_size: Grouping) -> Self {
+        let template = &target.model.levels[level];
+        let grouping = if level == 0 { at_full_size } else { Grouping::FaceAndView };
+        Self {
+            level: template,
+            camera: target.camera.at_level(level),
+            groups: Groups::new(grouping, &target.model.shape, template),
+            centre: target.model.shape.centre,
+        }
+    }
 }
 
 /// The sums of one pose, one row per triangle.
@@ -58,38 +70,6 @@ pub(super) struct NormalEquations {
     pub(super) displacement: Matrix6<f64>,
 }
 
-/// L_i (6x6): motion of the three corners in template pixels per pose increment, stack of A_i^-1 D(X_a), together
-/// with the corners' share of the displacement metric; `None` if back-facing, edge-on or behind the camera.
-fn corner_motion(
-    problem: &LevelProblem<'_>,
-    pose: &Pose,
-    g: &ChartGeometry,
-) -> Option<(Matrix6<f64>, Matrix6<f64>)> {
-    let mut projected = g.corners;
-    for (p, x) in projected.iter_mut().zip(&g.points) {
-        *p = problem.camera.project(&pose.transform_point(x))?;
-    }
-    let a: Matrix2<f64> = affine(&g.corners, &projected)?.fixed_view::<2, 2>(0, 0).into_owned();
-    if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
-        return None;
-    }
-    let inverse = a.try_inverse()?;
-    let (mut motion, mut metric) = (Matrix6::zeros(), Matrix6::zeros());
-    for (k, x) in g.points.iter().enumerate() {
-        let d = increment_jacobian(&problem.camera, pose, x, &problem.centre);
-        motion.fixed_view_mut::<2, 6>(2 * k, 0).copy_from(&(inverse * d));
-        metric += d.transpose() * d / 3.0;
-    }
-    Some((motion, metric))
-}
-
-/// v_i = sum q r f from the kernel's low-rank sums: b_a is linear in (u, v, 1).
-fn barycentric_gradient(sums: &[f64], g: &ChartGeometry) -> Vector6<f64> {
-    let along_u = g.barycentric * Vector3::new(sums[0], sums[1], sums[2]);
-    let along_v = g.barycentric * Vector3::new(sums[3], sums[4], sums[5]);
-    Vector6::new(along_u[0], along_v[0], along_u[1], along_v[1], along_u[2], along_v[2])
-}
-
 /// Coupling of one group's gain and bias with the pose and the appearance parameters.
 #[derive(Clone)]
 struct Coupling {
@@ -98,13 +78,15 @@ struct Coupling {
 }
 
 impl NormalEquations {
-    /// Adds up the triangles with weights `s` at a pose; `appearance` are the current parameters (for their prior).
+    /// Adds up the triangles with weights `s` at a pose; `appearance` are the current parameters (for their prior),
+    /// `derivative` says where the derivative of the residual comes from.
     pub(super) fn assemble(
         problem: &LevelProblem<'_>,
         pose: &Pose,
         appearance: &[f64],
         rows: &Rows<'_>,
         s: &[f64],
+        derivative: Derivative<'_>,
     ) -> Self {
         let (level, l) = (problem.level, appearance.len());
         let solutions = photometric::solve(&problem.groups, level, rows, s);
@@ -114,19 +96,15 @@ impl NormalEquations {
         let mut couplings = vec![none; problem.groups.len()];
         let mut active = 0.0;
         for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
-            let Some((motion, metric)) = geometry.as_ref().and_then(|g| corner_motion(problem, pose, g))
-            else {
+            let Some(geometry) = geometry else { continue };
+            let Some(corners) = CornerMotion::new(&problem.camera, pose, geometry, &problem.centre) else {
                 continue;
             };
-            let Some(geometry) = geometry else { continue };
             let group = problem.groups.of_triangle[t];
-            // The template's gradient follows its gain.
-            let motion = motion * (1.0 + solutions[group].value.x);
-            let v = barycentric_gradient(rows.row(t).gradient(), geometry);
-            sum.add_triangle(level, t, rows, s[t], &motion, &v);
-            let share = s[t] * rows.inside(level, t);
-            couplings[group].add(level, t, share, &motion, problem.groups.centre[group]);
-            sum.displacement += metric;
+            let part = derivative.of_triangle(level, t, rows, &corners, solutions[group].value.x);
+            sum.add_triangle(level, t, rows, s[t], &part);
+            couplings[group].add(level, t, rows, s[t], &part, problem.groups.centre[group]);
+            sum.displacement += corners.metric;
             active += 1.0;
         }
         for (coupling, solution) in couplings.iter().zip(&solutions) {
@@ -159,24 +137,23 @@ impl NormalEquations {
         triangle: usize,
         rows: &Rows<'_>,
         s: f64,
-        motion: &Matrix6<f64>,
-        v: &Vector6<f64>,
+        part: &TrianglePart,
     ) {
-        let moments = &level.moments[triangle];
-        let share = s * rows.inside(level, triangle);
+        let TrianglePart { motion, hessian, cross, gradient } = part;
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
-        pose += share * motion.transpose() * moments.hessian * motion;
+        pose += s * motion.transpose() * hessian * motion;
         let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
-        pose_gradient += s * motion.transpose() * v;
-        let row = rows.row(triangle);
+        pose_gradient += s * motion.transpose() * gradient;
+        let (row, share) = (rows.row(triangle), s * rows.inside(level, triangle));
+        let appearance = &level.moments[triangle].appearance;
         for k in 0..self.gradient.len() - 6 {
-            let column = share * motion.transpose() * moments.cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
+            let column = s * motion.transpose() * cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
             let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
             upper += column;
             let mut lower = self.hessian.fixed_view_mut::<1, 6>(6 + k, 0);
             lower += column.transpose();
             for j in 0..self.gradient.len() - 6 {
-                self.hessian[(6 + k, 6 + j)] += share * moments.appearance[(FIRST_MODE + k, FIRST_MODE + j)];
+                self.hessian[(6 + k, 6 + j)] += share * appearance[(FIRST_MODE + k, FIRST_MODE + j)];
             }
             self.gradient[6 + k] += s * row.appearance()[FIRST_MODE + k];
         }
@@ -206,15 +183,16 @@ impl Coupling {
         &mut self,
         level: &LevelTemplate,
         triangle: usize,
-        share: f64,
-        motion: &Matrix6<f64>,
+        rows: &Rows<'_>,
+        s: f64,
+        part: &TrianglePart,
         centre: f64,
     ) {
-        let moments = &level.moments[triangle];
-        let one = moments.cross.fixed_view::<6, 1>(0, BIAS);
-        let gain = moments.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
-        self.pose[0] += share * motion.transpose() * gain;
-        self.pose[1] += share * motion.transpose() * one;
+        let one = part.cross.fixed_view::<6, 1>(0, BIAS);
+        let gain = part.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
+        self.pose[0] += s * part.motion.transpose() * gain;
+        self.pose[1] += s * part.motion.transpose() * one;
+        let (moments, share) = (&level.moments[triangle], s * rows.inside(level, triangle));
         for k in 0..self.appearance[0].len() {
             let with = |column: usize| moments.appearance[(FIRST_MODE + k, column)];
             self.appearance[0][k] += share * (with(GAIN) - centre * with(BIAS));

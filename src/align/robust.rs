@@ -17,6 +17,11 @@ pub(super) struct Redescent {
     pub(super) zero: f64,
 }
 
+impl Redescent {
+    /// What every robust method uses.
+    pub(super) const DEFAULT: Self = Self { full: 1.0, zero: 3.0 };
+}
+
 /// Weight (0..1) of a triangle whose rms is `z` times the expected one: 1, falling as ((zero - z)/(zero - full))^2.
 fn redescend(z: f64, r: Redescent) -> f64 {
     if z <= r.full {

@@ -6,6 +6,7 @@
 pub mod cpu;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod linearization;
 mod sums;
 
 use image::GrayImage;
@@ -17,6 +18,7 @@ use crate::model::Model;
 pub use cpu::CpuBackend;
 #[cfg(feature = "gpu")]
 pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
+pub use linearization::{LinearRow, Linearization};
 pub use sums::{Sums, SumsRow};
 
 /// A model loaded into a backend.
@@ -33,7 +35,7 @@ pub struct TriangleWarp {
     pub active: bool,
 }
 
-/// One call of the `accumulate` stage: many poses of one model against the current frame.
+/// One call of the `accumulate` or `linearize` stage: many poses of one model against the current frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
     /// The model.
@@ -100,4 +102,11 @@ pub trait Backend: Send {
     /// [`crate::Error::Invalid`] for a request that does not fit the model or before the first frame,
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Gpu`] if the device fails.
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()>;
+
+    /// As [`Self::accumulate`] with the gradient of the frame at the warped position in place of the template's,
+    /// and with the second-order sums that make JtQJ of J = grad I(W) D.
+    ///
+    /// # Errors
+    /// As [`Self::accumulate`].
+    fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()>;
 }

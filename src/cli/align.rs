@@ -12,7 +12,7 @@ use super::frames::{self, SceneArgs};
 use super::progress;
 use super::records::{ResultsFile, row};
 use super::summary::JsonArg;
-use crate::align::{InverseCompositional, Start};
+use crate::align::{Method, Start};
 use crate::dataset::{ResultRow, Scene, results};
 use crate::model::Model;
 use crate::track::{Status, Tracker};
@@ -29,6 +29,9 @@ pub(super) struct Args {
     /// Results file to write (BOP CSV; score 0 means lost), one line per start in the same order
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// How to align
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -41,6 +44,7 @@ struct Summary {
     aligned: usize,
     lost: usize,
     iterations_mean: f64,
+    method: Method,
     backend: String,
     results: PathBuf,
 }
@@ -50,12 +54,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let (_, scene) = args.scene.open()?;
     let starts = read_starts(args, &scene, model.object_id)?;
     let opened = args.backend.open()?;
-    let mut tracker = Tracker::new(
-        model,
-        scene.frames[0].camera,
-        opened.backend,
-        Box::new(InverseCompositional::default()),
-    )?;
+    let mut tracker = Tracker::new(model, scene.frames[0].camera, opened.backend, args.method.aligner())?;
     let (rows, iterations) = align_all(&mut tracker, &scene, &starts)?;
     let mut out = ResultsFile::create(&args.out)?;
     rows.iter().try_for_each(|row| out.write(row))?;
@@ -68,16 +67,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         aligned: rows.len() - lost,
         lost,
         iterations_mean,
+        method: args.method,
         backend: tracker.backend_name(),
         results: args.out.clone(),
     };
     let text = format!(
-        "{}: {} of {} starts aligned, {} lost; {:.1} iterations on average; backend {} ({})",
+        "{}: {} of {} starts aligned, {} lost; {:.1} iterations on average; method {}, backend {} ({})",
         args.out.display(),
         summary.aligned,
         summary.starts,
         summary.lost,
         summary.iterations_mean,
+        summary.method,
         summary.backend,
         opened.why
     );

@@ -12,7 +12,7 @@ use super::frames::{self, training_images};
 use super::progress;
 use super::summary::JsonArg;
 use super::track::{Outputs, track_scene};
-use crate::align::InverseCompositional;
+use crate::align::Method;
 use crate::dataset::{PoseSource, write_atomically};
 use crate::eval::{EvalObject, Evaluation, evaluate};
 use crate::geometry::Pose;
@@ -42,6 +42,9 @@ pub(super) struct Args {
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
+    /// How to align
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -56,7 +59,7 @@ struct Summary {
 #[derive(Debug, Serialize)]
 struct SequenceSummary {
     name: String,
-    method: String,
+    method: Method,
     backend: String,
     #[serde(flatten)]
     evaluation: Evaluation,
@@ -122,7 +125,10 @@ fn run_direction(
     let poses = dataset.poses(trained_on, 1, &truth)?;
     let ids = spread(args.frames, TRAINING_IMAGES);
     let mesh = dataset.mesh(1)?;
-    let options = TrainOptions { modes: args.modes, ..TrainOptions::default() };
+    let mut options = TrainOptions { modes: args.modes, ..TrainOptions::default() };
+    if args.method.wants_whole_triangles() {
+        options.max_edge_px = f64::INFINITY;
+    }
     let model = train(&mesh, &training_images(&training_scene, &poses, &truth, &ids)?, &options)?;
     model.save(&args.out.join(format!("scene-{trained_on}.aam6d")))?;
 
@@ -131,7 +137,7 @@ fn run_direction(
     let opened = args.backend.open()?;
     let centre = model.shape.centre;
     let camera = scene.frames[0].camera;
-    let mut tracker = Tracker::new(model, camera, opened.backend, Box::new(InverseCompositional::default()))?;
+    let mut tracker = Tracker::new(model, camera, opened.backend, args.method.aligner())?;
     // A start at the true pose would hide a tracker that does not converge.
     tracker.start_at(disturbed(&frames::pose_of(&poses, scene.frames[0].id, &truth)?, &centre));
     let results = args.out.join(format!("scene-{tracked}.csv"));
@@ -148,7 +154,7 @@ fn run_direction(
     let evaluation = evaluate(&estimates, &poses, &EvalObject::new(&mesh)?, &scene.cameras())?;
     let name =
         format!("{:?}, trained on scene {trained_on}, tracked in scene {tracked}", args.scene).to_lowercase();
-    let method = "inverse-compositional".to_owned();
+    let method = args.method;
     Ok((SequenceSummary { name, method, backend: tracker.backend_name(), evaluation }, opened.why))
 }
 

@@ -10,7 +10,7 @@ use super::frames::{self, SceneArgs, pose_of};
 use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
 use super::summary::JsonArg;
 use super::{overlay, progress};
-use crate::align::InverseCompositional;
+use crate::align::Method;
 use crate::dataset::{PoseSource, Scene};
 use crate::eval::Estimate;
 use crate::eval::statistics::{median, percentile};
@@ -38,6 +38,9 @@ pub(super) struct Args {
     /// Also write pictures of the estimated pose
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
+    /// How to align
+    #[arg(long, value_enum, default_value_t)]
+    method: Method,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -64,6 +67,7 @@ struct Summary {
     lost_frames: Vec<u32>,
     ms_per_frame: Times,
     iterations_mean: Option<f64>,
+    method: Method,
     backend: String,
     results: PathBuf,
 }
@@ -80,8 +84,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let poses = dataset.poses(scene.id, model.object_id, &args.init)?;
     let opened = args.backend.open()?;
     let first = &scene.frames[0];
-    let mut tracker =
-        Tracker::new(model, first.camera, opened.backend, Box::new(InverseCompositional::default()))?;
+    let mut tracker = Tracker::new(model, first.camera, opened.backend, args.method.aligner())?;
     tracker.start_at(pose_of(&poses, first.id, &args.init)?);
     let outputs = Outputs {
         results: &args.out,
@@ -94,15 +97,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(path) = &args.tum {
         write_trajectory(path, &estimates)?;
     }
-    let summary = summarise(&estimates, tracker.backend_name(), args.out.clone());
+    let summary = summarise(&estimates, args.method, tracker.backend_name(), args.out.clone());
     let times = [summary.ms_per_frame.median, summary.ms_per_frame.p95].map(|t| t.unwrap_or(0.0));
     let text = format!(
-        "{}: {} of {} frames tracked, {} lost {:?}\nbackend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
+        "{}: {} of {} frames tracked, {} lost {:?}\nmethod {}, backend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
         args.out.display(),
         summary.tracked,
         summary.frames,
         summary.lost,
         summary.lost_frames,
+        summary.method,
         summary.backend,
         opened.why,
         times[0],
@@ -160,7 +164,7 @@ fn write_trajectory(path: &Path, estimates: &[Estimate]) -> anyhow::Result<()> {
     Ok(crate::dataset::Trajectory { poses }.write(path)?)
 }
 
-fn summarise(estimates: &[Estimate], backend: String, results: PathBuf) -> Summary {
+fn summarise(estimates: &[Estimate], method: Method, backend: String, results: PathBuf) -> Summary {
     let lost_frames: Vec<u32> = estimates.iter().filter(|e| e.score <= 0.0).map(|e| e.frame).collect();
     let times: Vec<f64> = estimates.iter().filter_map(|e| e.time_s).map(|t| t * 1e3).collect();
     #[expect(clippy::cast_precision_loss, reason = "frame counts are small")]
@@ -172,6 +176,7 @@ fn summarise(estimates: &[Estimate], backend: String, results: PathBuf) -> Summa
         lost_frames,
         ms_per_frame: Times { median: median(&times), p95: percentile(&times, 95.0) },
         iterations_mean: mean(estimates.iter().filter_map(|e| e.iterations).sum()),
+        method,
         backend,
         results,
     }

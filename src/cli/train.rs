@@ -26,6 +26,9 @@ pub(super) struct Args {
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
+    /// Leave the triangles as they are in the mesh, for `--method paper`; else large ones are cut
+    #[arg(long)]
+    whole_triangles: bool,
     /// Model file to write
     #[arg(long, value_name = "MODEL")]
     out: PathBuf,
@@ -69,7 +72,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     frames.sort_unstable();
     frames.dedup();
     let images = training_images(&scene, &poses, &args.poses, &frames)?;
-    let options = TrainOptions { object_id: args.object, modes: args.modes, ..TrainOptions::default() };
+    let mut options = TrainOptions { object_id: args.object, modes: args.modes, ..TrainOptions::default() };
+    if args.whole_triangles {
+        options.max_edge_px = f64::INFINITY;
+    }
     let model = train(&mesh, &images, &options)?;
     model.save(&args.out)?;
     let s = Summary::new(&args.out, &model);

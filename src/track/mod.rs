@@ -67,15 +67,16 @@ impl Tracker {
     /// first frame.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] reports.
+    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
     pub fn new(
         model: Model,
         camera: Camera,
         mut backend: Box<dyn Backend>,
-        aligner: Box<dyn Aligner>,
+        mut aligner: Box<dyn Aligner>,
     ) -> Result<Self> {
         camera.validate()?;
         let id = backend.load(&model)?;
+        aligner.prepare(backend.as_mut(), &model, id)?;
         let appearance = vec![0.0; model.modes()];
         let rectifier = Rectifier::new(&camera);
         Ok(Self { backend, aligner, model, id, camera, rectifier, motion: None, appearance, lost: false })
@@ -156,12 +157,10 @@ impl Tracker {
             return Err(Error::invalid("frame", problem, "give frames and calibration of the same camera"));
         }
         let levels = self.aligner.levels(&self.model);
-        if self.camera.distortion.is_none() {
-            self.backend.set_frame(image, levels)?;
-        } else {
-            self.backend.set_frame(&self.rectifier.rectify(image.clone()), levels)?;
-        }
-        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified() };
+        let rectified = (!self.camera.distortion.is_none()).then(|| self.rectifier.rectify(image.clone()));
+        let image = rectified.as_ref().unwrap_or(image);
+        self.backend.set_frame(image, levels)?;
+        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
         self.aligner.align(self.backend.as_mut(), &target, starts)
     }
 }

@@ -35,7 +35,7 @@ pub struct TrainOptions {
     pub levels: usize,
     /// Number of appearance modes l; at most one less than the number of images.
     pub modes: usize,
-    /// Triangles with a longer edge in any image are cut, pixels.
+    /// Triangles with a longer edge in any image are cut, pixels; infinite: none is.
     pub max_edge_px: f64,
     /// Chart pixels keep this distance from the border of their face, pixels of each level; the last entry also
     /// serves all coarser levels.
@@ -77,7 +77,8 @@ impl TrainOptions {
             let problem = format!("{} modes from {images} image(s)", self.modes);
             return refuse(problem, "use fewer modes than images");
         }
-        if !(self.max_edge_px.is_finite() && self.max_edge_px >= 4.0) {
+        // Written so that NaN is refused.
+        if !(self.max_edge_px >= 4.0) {
             return refuse(format!("edges of at most {} px", self.max_edge_px), "use 4 px or more");
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use aam6d::backend::gpu::GpuOptions;
-use aam6d::backend::{AdapterSelection, Backend, GpuBackend, Sums, adapters};
+use aam6d::backend::{AdapterSelection, Backend, GpuBackend, Linearization, Sums, adapters};
 use libtest_mimic::{Arguments, Failed, Trial};
 
 use super::Scene;
@@ -32,6 +32,15 @@ pub(crate) fn sums(gpu: &mut GpuBackend, scene: &Scene) -> Result<Sums, Failed> 
     let mut sums = Sums::default();
     gpu.accumulate(&scene.request(model), &mut sums)?;
     Ok(sums)
+}
+
+/// Linearization of a scene.
+pub(crate) fn linearization(gpu: &mut GpuBackend, scene: &Scene) -> Result<Linearization, Failed> {
+    let model = gpu.load(&scene.model)?;
+    gpu.set_frame(&scene.image, 1)?;
+    let mut out = Linearization::default();
+    gpu.linearize(&scene.request(model), &mut out)?;
+    Ok(out)
 }
 
 /// A test that needs an adapter.

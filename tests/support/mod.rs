@@ -3,6 +3,7 @@
 #![allow(dead_code, unused_imports, reason = "every test program uses its own part")]
 
 pub(crate) mod gpu;
+pub(crate) mod linear;
 pub(crate) mod scene;
 pub(crate) mod sums;
 

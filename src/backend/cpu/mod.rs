@@ -2,11 +2,12 @@
 
 pub mod accumulate;
 pub mod downsample;
+pub mod linearize;
 
 use image::GrayImage;
 use rayon::prelude::*;
 
-use super::{Backend, ModelId, Request, Sums};
+use super::{Backend, Linearization, ModelId, Request, Sums};
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
@@ -22,6 +23,19 @@ impl CpuBackend {
     /// A backend without models or frame.
     pub fn new() -> Self {
         Self::default()
+    }
+}
+
+impl CpuBackend {
+    /// The template and the image a request is about, its sizes checked.
+    fn find(&self, request: &Request<'_>) -> Result<(&LevelTemplate, &GrayImage)> {
+        let level = self
+            .models
+            .get(request.model.0)
+            .and_then(|levels| levels.get(request.level))
+            .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
+        request.check(level.charts.len(), level.pixels.modes.len(), self.frame.len())?;
+        Ok((level, self.frame.level(request.level)))
     }
 }
 
@@ -41,14 +55,8 @@ impl Backend for CpuBackend {
     }
 
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()> {
-        let level = self
-            .models
-            .get(request.model.0)
-            .and_then(|levels| levels.get(request.level))
-            .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
+        let (level, image) = self.find(request)?;
         let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
-        request.check(triangles, modes, self.frame.len())?;
-        let image = self.frame.level(request.level);
         sums.reset(request.items, triangles, modes);
         let row_len = Sums::row_len(modes);
         sums.data_mut().par_chunks_mut(row_len).with_min_len(16).enumerate().for_each(|(i, row)| {
@@ -57,6 +65,25 @@ impl Backend for CpuBackend {
             let appearance = &request.appearance[item * modes..][..modes];
             if warp.active {
                 accumulate::accumulate(&level.pixels, &level.charts[triangle], warp, appearance, image, row);
+            }
+        });
+        Ok(())
+    }
+
+    fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()> {
+        let (level, image) = self.find(request)?;
+        let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+        out.reset(request.items, triangles, modes);
+        let (first, second) = out.data_mut();
+        let rows = first
+            .par_chunks_mut(Sums::row_len(modes))
+            .zip(second.par_chunks_mut(Linearization::row_len(modes)));
+        rows.with_min_len(16).enumerate().for_each(|(i, rows)| {
+            let warp = &request.warps[i];
+            let (item, triangle) = (i / triangles, i % triangles);
+            let appearance = &request.appearance[item * modes..][..modes];
+            if warp.active {
+                linearize::linearize(&level.pixels, &level.charts[triangle], warp, appearance, image, rows);
             }
         });
         Ok(())

@@ -1,6 +1,7 @@
-//! One call of `accumulate`: many poses of one model, as few dispatches as the device's limits allow.
+//! One call of a stage that adds up charts: many poses of one model, as few dispatches as the device's limits allow.
 
-use nalgebra::Vector2;
+use std::ops::Range;
+
 use wgpu::{
     BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor,
     ComputePipeline,
@@ -9,16 +10,21 @@ use wgpu::{
 use super::buffers::{DeviceLevel, Warp, small};
 use super::context::Context;
 use super::readback::Readback;
-use super::shaders::{ACCUMULATE, sum_planes};
-use crate::backend::{Request, Sums};
+use super::shaders::Stage;
+use crate::backend::Request;
 use crate::error::Result;
 
 /// Workgroups per dimension that every device has.
 const MAX_GROUPS: u32 = 65535;
 
-/// Numbers of a row before the modes, on the host and, padded, on the device.
-const HEAD: usize = Sums::row_len(0);
-const DEVICE_HEAD: usize = 12;
+/// A stage, compiled for a number of mode planes.
+#[derive(Debug, Clone)]
+pub(super) struct Pass {
+    pub(super) stage: &'static Stage,
+    pub(super) pipeline: ComputePipeline,
+    /// Planes of four sums per chunk.
+    pub(super) planes: u32,
+}
 
 /// A level that can be dispatched.
 #[derive(Debug)]
@@ -26,9 +32,6 @@ pub(super) struct LoadedLevel {
     pub(super) level: DeviceLevel,
     /// Group 0.
     pub(super) bind_group: BindGroup,
-    pub(super) pipeline: ComputePipeline,
-    /// Poses per dispatch.
-    pub(super) max_items: usize,
 }
 
 /// Everything a request runs on.
@@ -38,8 +41,11 @@ pub(super) struct Target<'a> {
     /// Layout of group 1.
     pub(super) layout: &'a BindGroupLayout,
     pub(super) level: &'a LoadedLevel,
+    pub(super) pass: &'a Pass,
     /// Group 2.
     pub(super) image: &'a BindGroup,
+    /// Largest buffer of a dispatch, bytes.
+    pub(super) limit: u64,
 }
 
 /// What one dispatch of `items` poses reads and writes, bytes.
@@ -50,13 +56,12 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn new(level: &DeviceLevel, items: usize) -> Self {
-        let planes = small(level.modes.div_ceil(4));
+    fn new(level: &DeviceLevel, planes: u32, items: usize) -> Self {
         let bytes = |vectors: usize| 16 * (vectors as u64) * (items as u64);
         Self {
             warps: bytes(3 * level.centres.len()),
-            appearance: bytes(planes as usize),
-            sums: bytes(level.chunks.len() * sum_planes(planes) as usize),
+            appearance: bytes(level.modes.div_ceil(4)),
+            sums: bytes(level.chunks.len() * planes as usize),
         }
     }
 }
@@ -65,8 +70,8 @@ impl Sizes {
 ///
 /// # Errors
 /// [`crate::Error::AdapterTooSmall`] if not even one fits the device.
-pub(super) fn max_items(context: &Context, level: &DeviceLevel, limit: u64) -> Result<usize> {
-    let one = Sizes::new(level, 1);
+pub(super) fn max_items(context: &Context, level: &DeviceLevel, planes: u32, limit: u64) -> Result<usize> {
+    let one = Sizes::new(level, planes, 1);
     context.require("warps of one pose (bytes)", one.warps)?;
     context.require("sums of one pose (bytes)", one.sums)?;
     let items = limit / one.warps.max(one.sums).max(one.appearance).max(1);
@@ -89,31 +94,30 @@ struct Bound {
 }
 
 impl Batch {
-    /// Runs a request whose sizes have been checked.
+    /// Runs a request whose sizes have been checked. For every dispatch `write` gets the range of its poses and the
+    /// planes of all their chunks.
     pub(super) fn run(
         &mut self,
         target: Target<'_>,
         readback: &mut Readback,
         request: &Request<'_>,
-        sums: &mut Sums,
+        mut write: impl FnMut(Range<usize>, &[f32]),
     ) -> Result<()> {
-        let Target { context, level: loaded, .. } = target;
+        let Target { context, level: loaded, pass, limit, .. } = target;
         let (triangles, modes) = (loaded.level.centres.len(), loaded.level.modes);
-        sums.reset(request.items, triangles, modes);
         if loaded.level.chunks.is_empty() {
             return context.check();
         }
-        let row_len = Sums::row_len(modes);
-        for first in (0..request.items).step_by(loaded.max_items) {
-            let items = loaded.max_items.min(request.items - first);
+        let at_once = max_items(context, &loaded.level, pass.planes, limit)?;
+        for first in (0..request.items).step_by(at_once) {
+            let items = at_once.min(request.items - first);
             let part = Request {
                 items,
                 warps: &request.warps[first * triangles..][..items * triangles],
                 appearance: &request.appearance[first * modes..][..items * modes],
                 ..*request
             };
-            let rows = &mut sums.data_mut()[first * triangles * row_len..][..items * triangles * row_len];
-            self.dispatch(target, readback, &part, rows)?;
+            self.dispatch(target, readback, &part, |data| write(first..first + items, data))?;
         }
         Ok(())
     }
@@ -124,20 +128,21 @@ impl Batch {
         target: Target<'_>,
         readback: &mut Readback,
         part: &Request<'_>,
-        rows: &mut [f64],
+        write: impl FnOnce(&[f32]),
     ) -> Result<()> {
-        let Target { context, layout, level: loaded, image } = target;
-        let sizes = Sizes::new(&loaded.level, part.items);
+        let Target { context, layout, level: loaded, pass: Pass { stage, pipeline, planes }, image, .. } =
+            target;
+        let sizes = Sizes::new(&loaded.level, *planes, part.items);
         self.encode_poses(&loaded.level, part);
         self.grow(context, layout, &sizes)?;
         let Some(bound) = &self.buffers else { return Ok(()) };
         let staging = readback.buffer(context, sizes.sums)?;
-        let submission = context.scoped(ACCUMULATE.name, || {
+        let submission = context.scoped(stage.name, || {
             context.queue.write_buffer(&bound.buffers[0], 0, bytemuck::cast_slice(&self.warps));
             context.queue.write_buffer(&bound.buffers[1], 0, bytemuck::cast_slice(&self.appearance));
             let mut encoder = context.device.create_command_encoder(&CommandEncoderDescriptor::default());
             let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
-            pass.set_pipeline(&loaded.pipeline);
+            pass.set_pipeline(pipeline);
             for (group, bind_group) in (0..).zip([&loaded.bind_group, &bound.bind_group, image]) {
                 pass.set_bind_group(group, bind_group, &[]);
             }
@@ -147,9 +152,7 @@ impl Batch {
             encoder.copy_buffer_to_buffer(&bound.buffers[2], 0, staging, 0, sizes.sums);
             context.queue.submit([encoder.finish()])
         });
-        readback.read(context, submission?, sizes.sums, |data| {
-            add_chunks(&loaded.level, bytemuck::cast_slice(data), rows);
-        })
+        readback.read(context, submission?, sizes.sums, |data| write(bytemuck::cast_slice(data)))
     }
 
     /// Fills the host copies of the poses.
@@ -182,37 +185,10 @@ impl Batch {
                 context.buffer(label, bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC)
             };
             let buffers = [create(0, "warps"), create(1, "appearance"), create(2, "sums")];
-            let bind_group = context.bind(ACCUMULATE.name, layout, &buffers);
+            let bind_group = context.bind("poses", layout, &buffers);
             Bound { buffers, bind_group }
         })?;
         self.buffers = Some(bound);
         Ok(())
-    }
-}
-
-/// Adds the rows of chunks to the rows of their triangles, in f64.
-fn add_chunks(level: &DeviceLevel, chunk_rows: &[f32], rows: &mut [f64]) {
-    let (row_len, triangles) = (Sums::row_len(level.modes), level.centres.len());
-    let device_len = DEVICE_HEAD + level.modes.next_multiple_of(4);
-    let of_items = chunk_rows.chunks_exact(device_len * level.chunks.len());
-    for (item, rows) in of_items.zip(rows.chunks_exact_mut(row_len * triangles)) {
-        for (chunk, partial) in level.chunks.iter().zip(item.chunks_exact(device_len)) {
-            let row = &mut rows[chunk.triangle as usize * row_len..][..row_len];
-            let parts = partial[..HEAD].iter().chain(&partial[DEVICE_HEAD..]);
-            for (sum, part) in row.iter_mut().zip(parts) {
-                *sum += f64::from(*part);
-            }
-        }
-        for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
-            move_to_origin(row, centre);
-        }
-    }
-}
-
-/// Makes positions in the gradient sums relative to the chart's origin instead of its centre.
-fn move_to_origin(row: &mut [f64], centre: &Vector2<f64>) {
-    for slope in row[..6].chunks_exact_mut(3) {
-        slope[0] += centre.x * slope[2];
-        slope[1] += centre.y * slope[2];
     }
 }

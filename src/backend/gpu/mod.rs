@@ -10,6 +10,7 @@ mod context;
 mod frame;
 mod halving;
 mod readback;
+mod rows;
 pub mod shaders;
 
 use std::collections::BTreeMap;
@@ -18,16 +19,16 @@ use image::GrayImage;
 use nalgebra::Matrix3;
 use wgpu::{BindGroupLayout, ComputePipeline};
 
-use super::{Backend, ModelId, Request, Sums, TriangleWarp};
+use super::{Backend, Linearization, ModelId, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
 use crate::model::{LevelTemplate, Model};
-use batch::{Batch, LoadedLevel, Target, max_items};
+use batch::{Batch, LoadedLevel, Pass, Target, max_items};
 use buffers::{DeviceLevel, small};
 use context::Context;
 use frame::Frame;
 use halving::Halver;
 use readback::Readback;
-use shaders::{ACCUMULATE, DOWNSAMPLE, Partition};
+use shaders::{ACCUMULATE, DOWNSAMPLE, LINEARIZE, Partition, Stage, accumulate_planes, linearize_planes};
 
 pub use adapter::{AdapterSelection, AdapterSummary, adapters};
 
@@ -60,10 +61,10 @@ pub struct GpuBackend {
     context: Context,
     options: GpuOptions,
     partition: Partition,
-    /// Layouts of `accumulate`, group by group.
+    /// Layouts of the stages that add up charts, group by group.
     layouts: Vec<BindGroupLayout>,
-    /// `accumulate` by number of mode planes.
-    pipelines: BTreeMap<u32, ComputePipeline>,
+    /// Those stages by name and number of mode planes, compiled when they are needed.
+    passes: BTreeMap<(&'static str, u32), Pass>,
     downsample: Option<ComputePipeline>,
     models: Vec<Vec<LoadedLevel>>,
     frame: Option<Frame>,
@@ -105,7 +106,7 @@ impl GpuBackend {
             options,
             partition,
             layouts,
-            pipelines: BTreeMap::new(),
+            passes: BTreeMap::new(),
             downsample,
             models: Vec::new(),
             frame: None,
@@ -141,24 +142,34 @@ impl GpuBackend {
         Frame::new(&self.context, &self.layouts[2], size, levels, halver)
     }
 
-    /// Uploads a level; true if its pipeline has not run yet.
-    fn load_level(&mut self, template: &LevelTemplate) -> Result<(LoadedLevel, bool)> {
+    /// Uploads a level.
+    fn load_level(&self, template: &LevelTemplate) -> Result<LoadedLevel> {
         let context = &self.context;
         let level = DeviceLevel::upload(context, template, self.partition.chunk_pixels)?;
-        let planes = small(level.modes.div_ceil(4));
-        let is_new = !self.pipelines.contains_key(&planes);
-        if is_new {
-            let workgroup = self.partition.accumulate_workgroup(planes);
-            let pipeline = ACCUMULATE.pipeline(context, &self.layouts, planes, workgroup)?;
-            self.pipelines.insert(planes, pipeline);
-        }
-        let pipeline = self.pipelines[&planes].clone();
-        let limit = self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(context.max_bytes());
-        let max_items = max_items(context, &level, limit)?;
+        max_items(context, &level, accumulate_planes(small(level.modes.div_ceil(4))), self.limit())?;
         let bind_group = context.scoped("binding the template", || {
-            context.bind(ACCUMULATE.name, &self.layouts[0], level.buffers.each_ref())
+            context.bind("template", &self.layouts[0], level.buffers.each_ref())
         })?;
-        Ok((LoadedLevel { level, bind_group, pipeline, max_items }, is_new))
+        Ok(LoadedLevel { level, bind_group })
+    }
+
+    /// Largest buffer of a dispatch, bytes.
+    fn limit(&self) -> u64 {
+        self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(self.context.max_bytes())
+    }
+
+    /// Compiles a stage for a number of modes, once; true if it is new.
+    fn compile(&mut self, stage: &'static Stage, planes: fn(u32) -> u32, modes: usize) -> Result<bool> {
+        let mode_planes = small(modes.div_ceil(4));
+        let key = (stage.name, mode_planes);
+        if self.passes.contains_key(&key) {
+            return Ok(false);
+        }
+        let planes = planes(mode_planes);
+        let workgroup = self.partition.workgroup_for(planes);
+        let pipeline = stage.pipeline(&self.context, &self.layouts, mode_planes, workgroup)?;
+        self.passes.insert(key, Pass { stage, pipeline, planes });
+        Ok(true)
     }
 
     /// Runs a level once without active triangles: drivers compile at the first dispatch, which takes up to seconds.
@@ -169,9 +180,49 @@ impl GpuBackend {
         let (warps, appearance) = (vec![idle; level.level.centres.len()], vec![0.0; level.level.modes]);
         let model = ModelId(self.models.len());
         let request = Request { model, level: 0, items: 1, warps: &warps, appearance: &appearance };
-        let target =
-            Target { context: &self.context, layout: &self.layouts[1], level, image: frame.bind_group(0) };
-        self.batch.run(target, &mut self.readback, &request, &mut Sums::default())
+        let target = Target {
+            context: &self.context,
+            layout: &self.layouts[1],
+            level,
+            pass: &self.passes[&(ACCUMULATE.name, small(level.level.modes.div_ceil(4)))],
+            image: frame.bind_group(0),
+            limit: self.limit(),
+        };
+        self.batch.run(target, &mut self.readback, &request, |_, _| ())
+    }
+
+    /// Checks a request; returns triangles and modes of its level.
+    fn check(&self, request: &Request<'_>) -> Result<(usize, usize)> {
+        self.context.check()?;
+        let level = self
+            .models
+            .get(request.model.0)
+            .and_then(|levels| levels.get(request.level))
+            .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
+        let (triangles, modes) = (level.level.centres.len(), level.level.modes);
+        request.check(triangles, modes, self.frame.as_ref().map_or(0, Frame::len))?;
+        Ok((triangles, modes))
+    }
+
+    /// Runs a compiled stage for a checked request.
+    fn run(
+        &mut self,
+        stage: &Stage,
+        request: &Request<'_>,
+        mut write: impl FnMut(&DeviceLevel, std::ops::Range<usize>, &[f32]),
+    ) -> Result<()> {
+        let level = &self.models[request.model.0][request.level];
+        let Some(frame) = &self.frame else { return Ok(()) };
+        let target = Target {
+            context: &self.context,
+            layout: &self.layouts[1],
+            level,
+            pass: &self.passes[&(stage.name, small(level.level.modes.div_ceil(4)))],
+            image: frame.bind_group(request.level),
+            limit: self.limit(),
+        };
+        let write = |items: std::ops::Range<usize>, data: &[f32]| write(&level.level, items, data);
+        self.batch.run(target, &mut self.readback, request, write)
     }
 }
 
@@ -183,8 +234,8 @@ impl Backend for GpuBackend {
     fn load(&mut self, model: &Model) -> Result<ModelId> {
         let mut levels = Vec::with_capacity(model.levels.len());
         for template in &model.levels {
-            let (level, is_new) = self.load_level(template)?;
-            if is_new {
+            let level = self.load_level(template)?;
+            if self.compile(&ACCUMULATE, accumulate_planes, level.level.modes)? {
                 self.warm_up(&level)?;
             }
             levels.push(level);
@@ -204,21 +255,19 @@ impl Backend for GpuBackend {
     }
 
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()> {
-        self.context.check()?;
-        let level = self
-            .models
-            .get(request.model.0)
-            .and_then(|levels| levels.get(request.level))
-            .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
-        let frame_levels = self.frame.as_ref().map_or(0, Frame::len);
-        request.check(level.level.centres.len(), level.level.modes, frame_levels)?;
-        let Some(frame) = &self.frame else { return Ok(()) };
-        let target = Target {
-            context: &self.context,
-            layout: &self.layouts[1],
-            level,
-            image: frame.bind_group(request.level),
-        };
-        self.batch.run(target, &mut self.readback, request, sums)
+        let (triangles, modes) = self.check(request)?;
+        sums.reset(request.items, triangles, modes);
+        let rows = sums.data_mut();
+        self.run(&ACCUMULATE, request, |level, items, data| rows::add_sums(level, items, data, rows))
+    }
+
+    fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()> {
+        let (triangles, modes) = self.check(request)?;
+        self.compile(&LINEARIZE, linearize_planes, modes)?;
+        out.reset(request.items, triangles, modes);
+        let (first, second) = out.data_mut();
+        self.run(&LINEARIZE, request, |level, items, data| {
+            rows::add_linearization(level, items, data, (&mut *first, &mut *second));
+        })
     }
 }

@@ -51,24 +51,39 @@ pub const DOWNSAMPLE: Stage = Stage {
     groups: &[&[("halving", Kind::Uniform), ("larger", Kind::Read), ("smaller", Kind::Write)]],
 };
 
+/// The bindings of the stages that add up chunks of charts, `shaders/parts/chart_sums.wgsl`.
+const CHART_SUMS: &[&[(&str, Kind)]] = &[
+    &[
+        ("level", Kind::Uniform),
+        ("chunks", Kind::Read),
+        ("positions", Kind::Read),
+        ("texels", Kind::Read),
+        ("modes", Kind::Read),
+    ],
+    &[("warps", Kind::Read), ("appearance", Kind::Read), ("sums", Kind::Write)],
+    &[("image", Kind::Image), ("image_sampler", Kind::Sampler)],
+];
+
 /// Warp, sample, residual, weight, sums.
 pub const ACCUMULATE: Stage = Stage {
     name: "accumulate",
     source: concat!(
         include_str!("../../../shaders/common.wgsl"),
+        include_str!("../../../shaders/parts/chart_sums.wgsl"),
         include_str!("../../../shaders/accumulate.wgsl")
     ),
-    groups: &[
-        &[
-            ("level", Kind::Uniform),
-            ("chunks", Kind::Read),
-            ("positions", Kind::Read),
-            ("texels", Kind::Read),
-            ("modes", Kind::Read),
-        ],
-        &[("warps", Kind::Read), ("appearance", Kind::Read), ("sums", Kind::Write)],
-        &[("image", Kind::Image), ("image_sampler", Kind::Sampler)],
-    ],
+    groups: CHART_SUMS,
+};
+
+/// The same with the frame's gradient, and second-order sums.
+pub const LINEARIZE: Stage = Stage {
+    name: "linearize",
+    source: concat!(
+        include_str!("../../../shaders/common.wgsl"),
+        include_str!("../../../shaders/parts/chart_sums.wgsl"),
+        include_str!("../../../shaders/linearize.wgsl")
+    ),
+    groups: CHART_SUMS,
 };
 
 impl Stage {
@@ -144,10 +159,10 @@ impl Partition {
         }
     }
 
-    /// Workgroup size of `accumulate`: smaller where the sums of that many modes would not fit.
-    pub const fn accumulate_workgroup(self, mode_planes: u32) -> u32 {
+    /// Workgroup size of a stage with that many planes of sums: smaller where they would not fit.
+    pub const fn workgroup_for(self, planes: u32) -> u32 {
         let mut workgroup = self.workgroup;
-        while workgroup > REDUCE && workgroup * sum_planes(mode_planes) * 16 > WORKGROUP_BYTES {
+        while workgroup > REDUCE && workgroup * planes * 16 > WORKGROUP_BYTES {
             workgroup /= 2;
         }
         workgroup
@@ -155,8 +170,13 @@ impl Partition {
 }
 
 /// Planes of four sums per chunk: `SUM_PLANES` in `shaders/accumulate.wgsl`.
-pub const fn sum_planes(mode_planes: u32) -> u32 {
+pub const fn accumulate_planes(mode_planes: u32) -> u32 {
     3 + mode_planes
+}
+
+/// Planes of four sums per chunk: `SUM_PLANES` in `shaders/linearize.wgsl`.
+pub const fn linearize_planes(mode_planes: u32) -> u32 {
+    11 + 7 * mode_planes
 }
 
 fn entry(binding: u32, kind: Kind) -> BindGroupLayoutEntry {

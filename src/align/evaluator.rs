@@ -1,0 +1,178 @@
+//! What the methods share: checks of the starts, visibility, calls of the backend, and the estimate at the end.
+
+use nalgebra::Matrix3;
+
+use super::covariance::covariance;
+use super::derivative::SecondRows;
+use super::levenberg_marquardt::State;
+use super::normal_equations::{LevelProblem, NormalEquations, Rows};
+use super::score::Score;
+use super::{PoseEstimate, Start, Target};
+use crate::backend::{Backend, Linearization, Request, Sums, TriangleWarp};
+use crate::error::{Error, Result};
+use crate::geometry::Pose;
+use crate::geometry::raster::{facing, visible_shares};
+use crate::geometry::warp::homography;
+
+/// Triangles seen more obliquely than this cosine are left out.
+const MIN_COSINE: f64 = 0.06;
+/// Visibility is judged on an image of this pyramid level.
+const VISIBILITY_LEVEL: usize = 2;
+/// Triangles with less than this share free of occlusion by the object itself are left out.
+const MIN_VISIBLE: f64 = 0.5;
+
+/// A triangle that is left out.
+pub(super) const IDLE: TriangleWarp = TriangleWarp {
+    image_from_chart: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    active: false,
+};
+
+/// Refuses starts that do not fit the model.
+pub(super) fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
+    let modes = target.model.modes();
+    for (i, start) in starts.iter().enumerate() {
+        if !start.camera_from_object.is_finite() {
+            return Err(Error::invalid(format!("start pose {i}"), "it is not finite", "give a valid pose"));
+        }
+        if start.appearance.len() != modes {
+            let problem = format!("{} appearance parameters, the model has {modes}", start.appearance.len());
+            return Err(Error::invalid(format!("start {i}"), problem, "give one per mode, 0 for the mean"));
+        }
+    }
+    Ok(())
+}
+
+/// Where the descents start.
+pub(super) fn states_of(starts: &[Start]) -> Vec<State> {
+    let state =
+        |s: &Start| State { pose: s.camera_from_object.renormalised(), appearance: s.appearance.clone() };
+    starts.iter().map(state).collect()
+}
+
+/// Where a descent at full size ended.
+#[derive(Debug)]
+pub(super) struct End {
+    pub(super) state: State,
+    /// The last sums, within a step below the stop threshold of the state.
+    pub(super) rows: Vec<f64>,
+    pub(super) visibility: Vec<f64>,
+    pub(super) equations: NormalEquations,
+}
+
+/// The estimate of an end.
+pub(super) fn finish(target: &Target<'_>, end: End, iterations: usize, converged: bool) -> PoseEstimate {
+    let level = &target.model.levels[0];
+    let rows = Rows { data: &end.rows, row_len: Sums::row_len(target.model.modes()) };
+    PoseEstimate {
+        score: Score::new(level, &rows, &end.visibility, &end.state.appearance),
+        covariance: covariance(&end.equations),
+        rms: if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 },
+        camera_from_object: end.state.pose,
+        appearance: end.state.appearance,
+        iterations,
+        converged,
+    }
+}
+
+/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden.
+pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
+    let mesh = &target.model.shape.mesh;
+    let shares = visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose);
+    let keep = |(t, share): (usize, f64)| {
+        let seen = share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
+        if seen { share } else { 0.0 }
+    };
+    shares.into_iter().enumerate().map(keep).collect()
+}
+
+/// Runs the stages for many states of one level, with the perspective-exact warp.
+pub(super) struct Evaluator<'a> {
+    backend: &'a mut dyn Backend,
+    target: &'a Target<'a>,
+    level: usize,
+    problem: &'a LevelProblem<'a>,
+    out: Linearization,
+    warps: Vec<TriangleWarp>,
+    appearance: Vec<f32>,
+}
+
+impl<'a> Evaluator<'a> {
+    pub(super) fn new(
+        backend: &'a mut dyn Backend,
+        target: &'a Target<'a>,
+        level: usize,
+        problem: &'a LevelProblem<'a>,
+    ) -> Self {
+        let (warps, appearance) = (Vec::new(), Vec::new());
+        Self { backend, target, level, problem, out: Linearization::default(), warps, appearance }
+    }
+
+    /// Stage `accumulate`; every state comes with its visibility.
+    pub(super) fn evaluate<'s>(
+        &mut self,
+        states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>,
+    ) -> Result<()> {
+        let items = self.encode(states);
+        self.backend.accumulate(
+            &request(self.target, self.level, items, &self.warps, &self.appearance),
+            &mut self.out.sums,
+        )
+    }
+
+    /// Stage `linearize`.
+    pub(super) fn linearize<'s>(
+        &mut self,
+        states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>,
+    ) -> Result<()> {
+        let items = self.encode(states);
+        self.backend
+            .linearize(&request(self.target, self.level, items, &self.warps, &self.appearance), &mut self.out)
+    }
+
+    /// Fills warps and appearance; returns the number of states.
+    fn encode<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>) -> usize {
+        self.warps.clear();
+        self.appearance.clear();
+        let mut items = 0;
+        for (state, visibility) in states {
+            items += 1;
+            self.appearance.extend(state.appearance.iter().copied().map(narrow));
+            for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
+                let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
+                self.warps.push(geometry.map_or(IDLE, |g| TriangleWarp {
+                    image_from_chart: homography(&self.problem.camera, &state.pose, &g.object_from_chart),
+                    active: true,
+                }));
+            }
+        }
+        items
+    }
+
+    /// The first-order sums of a state.
+    pub(super) fn rows(&self, item: usize) -> Rows<'_> {
+        let row_len = Sums::row_len(self.target.model.modes());
+        Rows { data: self.out.sums.item(item), row_len }
+    }
+
+    /// The second-order sums of a state, after [`Self::linearize`].
+    pub(super) fn seconds(&self, item: usize) -> SecondRows<'_> {
+        let row_len = Linearization::row_len(self.target.model.modes());
+        SecondRows { data: self.out.item(item), row_len }
+    }
+}
+
+fn request<'r>(
+    target: &Target<'_>,
+    level: usize,
+    items: usize,
+    warps: &'r [TriangleWarp],
+    appearance: &'r [f32],
+) -> Request<'r> {
+    Request { model: target.id, level, items, warps, appearance }
+}
+
+/// The device works in f32.
+#[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
+pub(super) fn narrow(x: f64) -> f32 {
+    x as f32
+}

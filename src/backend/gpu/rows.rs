@@ -1,0 +1,101 @@
+//! From the planes of chunks that come back to the rows of triangles: added in f64, positions moved from the chart's
+//! centre, where f32 is best, to its origin.
+
+use std::ops::Range;
+
+use nalgebra::Vector2;
+
+use super::buffers::DeviceLevel;
+use crate::backend::{Linearization, Sums};
+
+/// Numbers of a row of [`Sums`] before the modes, on the host and, padded, on the device.
+const HEAD: usize = Sums::row_len(0);
+const DEVICE_HEAD: usize = 12;
+/// Numbers of a second-order row before the modes, on the host and, padded, on the device.
+const SECOND: usize = Linearization::row_len(0);
+const DEVICE_SECOND: usize = 32;
+
+/// Adds what `accumulate` wrote for some poses to their rows.
+pub(super) fn add_sums(level: &DeviceLevel, items: Range<usize>, chunk_rows: &[f32], rows: &mut [f64]) {
+    let (row_len, triangles) = (Sums::row_len(level.modes), level.centres.len());
+    let rows = &mut rows[items.start * triangles * row_len..items.end * triangles * row_len];
+    let device_len = DEVICE_HEAD + level.modes.next_multiple_of(4);
+    let of_items = chunk_rows.chunks_exact(device_len * level.chunks.len());
+    for (item, rows) in of_items.zip(rows.chunks_exact_mut(row_len * triangles)) {
+        for (chunk, partial) in level.chunks.iter().zip(item.chunks_exact(device_len)) {
+            add_first(&mut rows[chunk.triangle as usize * row_len..][..row_len], partial);
+        }
+        for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
+            move_first(&mut row[..6], centre);
+        }
+    }
+}
+
+/// Adds what `linearize` wrote for some poses to their first- and second-order rows.
+pub(super) fn add_linearization(
+    level: &DeviceLevel,
+    items: Range<usize>,
+    chunk_rows: &[f32],
+    (first, second): (&mut [f64], &mut [f64]),
+) {
+    let (modes, triangles) = (level.modes, level.centres.len());
+    let [first_len, second_len] = [Sums::row_len(modes), Linearization::row_len(modes)];
+    let padded = modes.next_multiple_of(4);
+    let first_planes = DEVICE_HEAD + padded;
+    let device_len = first_planes + DEVICE_SECOND + 6 * padded;
+    let of_items = chunk_rows.chunks_exact(device_len * level.chunks.len());
+    for (item, of_chunks) in items.zip(of_items) {
+        let first = &mut first[item * triangles * first_len..][..triangles * first_len];
+        let second = &mut second[item * triangles * second_len..][..triangles * second_len];
+        for (chunk, partial) in level.chunks.iter().zip(of_chunks.chunks_exact(device_len)) {
+            let t = chunk.triangle as usize;
+            add_first(&mut first[t * first_len..][..first_len], &partial[..first_planes]);
+            add_second(&mut second[t * second_len..][..second_len], &partial[first_planes..]);
+        }
+        let rows = first.chunks_exact_mut(first_len).zip(second.chunks_exact_mut(second_len));
+        for ((first, second), centre) in rows.zip(&level.centres) {
+            move_first(&mut first[..6], centre);
+            second[..18].chunks_exact_mut(6).for_each(|block| move_second(block, centre));
+            move_first(&mut second[18..], centre);
+        }
+    }
+}
+
+fn add_first(row: &mut [f64], partial: &[f32]) {
+    let parts = partial[..HEAD].iter().chain(&partial[DEVICE_HEAD..]);
+    for (sum, part) in row.iter_mut().zip(parts) {
+        *sum += f64::from(*part);
+    }
+}
+
+/// The device has four modes side by side, the host one mode after the other.
+fn add_second(row: &mut [f64], partial: &[f32]) {
+    let (head, of_modes) = row.split_at_mut(SECOND);
+    for (sum, part) in head.iter_mut().zip(partial) {
+        *sum += f64::from(*part);
+    }
+    for (mode, sums) in of_modes.chunks_exact_mut(6).enumerate() {
+        let planes = partial[DEVICE_SECOND + 24 * (mode / 4)..].chunks_exact(4);
+        for (sum, plane) in sums.iter_mut().zip(planes) {
+            *sum += f64::from(plane[mode % 4]);
+        }
+    }
+}
+
+/// Sums of x (u, v, 1): u and v become relative to the chart's origin instead of its centre.
+fn move_first(sums: &mut [f64], centre: &Vector2<f64>) {
+    for slope in sums.chunks_exact_mut(3) {
+        slope[0] += centre.x * slope[2];
+        slope[1] += centre.y * slope[2];
+    }
+}
+
+/// The same for sums of x (u^2, u v, u, v^2, v, 1).
+fn move_second(sums: &mut [f64], c: &Vector2<f64>) {
+    let [uu, uv, u, vv, v, one] = [0, 1, 2, 3, 4, 5].map(|k| sums[k]);
+    sums[0] = uu + 2.0 * c.x * u + c.x * c.x * one;
+    sums[1] = uv + c.x * v + c.y * u + c.x * c.y * one;
+    sums[2] = u + c.x * one;
+    sums[3] = vv + 2.0 * c.y * v + c.y * c.y * one;
+    sums[4] = v + c.y * one;
+}
