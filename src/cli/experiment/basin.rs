@@ -7,13 +7,13 @@ use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use svg::Document;
 
-use super::methods::{Engine, Method};
+use super::methods::Engine;
 use super::plot::{Axis, Line, Panel, figure};
 use super::record::{write_json, write_text};
 use super::sheet::{Kind, Sheet, number};
 use super::starts::{Scene, View, rms_px};
 use super::theme::look;
-use crate::align::Start;
+use crate::align::{Method, Start};
 use crate::cli::progress;
 use crate::model::Model;
 use crate::track::Tracker;
@@ -85,12 +85,14 @@ pub(super) fn run(options: &Options<'_>) -> anyhow::Result<Basin> {
     let all_views = views.iter().map(|(_, v)| v.len()).sum::<usize>();
     let bar = progress::frames(variants.len() * all_views * DISTANCES_PX.len(), "basin");
     for &(method, pyramid) in &variants {
-        let full = scene.model.levels.len();
-        if pyramid && method.aligner().levels(&scene.model) < full {
+        let model = scene.models.of(method);
+        let full = model.levels.len();
+        // A method that works at full size only has no pyramid to take away.
+        if pyramid && method.aligner().levels(model) < full {
             bar.inc((all_views * DISTANCES_PX.len()) as u64);
             continue;
         }
-        let mut model = scene.model.clone();
+        let mut model = model.clone();
         model.levels.truncate(if pyramid { full } else { 1 });
         bar.set_message(format!("basin: {}{}", method.name(), if pyramid { "" } else { ", full size only" }));
         basin.cells.extend(study(options, &scene, &views, (method, pyramid), model, &bar)?);
@@ -219,9 +221,8 @@ fn markdown(basin: &Basin) -> String {
 
 /// Share over distance: a column per tilt, a row with and one without the pyramid.
 fn plot(basin: &Basin) -> Document {
-    let mut methods: Vec<Method> = basin.cells.iter().map(|c| c.method).collect();
-    methods.sort_unstable();
-    methods.dedup();
+    let studied = |m: &Method| basin.cells.iter().any(|c| c.method == *m);
+    let methods: Vec<Method> = Method::ALL.into_iter().filter(studied).collect();
     let mut panels = Vec::new();
     for (pyramid, words) in [(true, "with pyramid"), (false, "full size only")] {
         for tilt in TILTS_DEG {

@@ -7,6 +7,7 @@ use anyhow::Context;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::methods::PerShape;
 use super::motion;
 use super::record::{Options, SequenceRecord, write_json};
 use crate::cli::frames::{self, training_images};
@@ -29,7 +30,7 @@ pub(super) struct Case {
     pub(super) object: EvalObject,
     /// The mesh of the landmarks.
     pub(super) mesh: TriangleMesh,
-    pub(super) model: Model,
+    pub(super) models: PerShape<Model>,
     /// Where tracking starts: near the true pose of the first frame.
     pub(super) start: Pose,
 }
@@ -87,8 +88,10 @@ fn case(out: &Path, data: &Path, options: &Options, tracked: u32, trained_on: u3
     let poses = dataset.poses(trained_on, 1, &source)?;
     let ids = spread(options.frames);
     let images = training_images(&training_scene, &poses, &source, &ids)?;
-    let model = train(&mesh, &images, &TrainOptions { modes: options.modes, ..TrainOptions::default() })?;
-    model.save(&out.join(format!("model-{tracked}.aam6d")))?;
+    let training = TrainOptions { modes: options.modes, ..TrainOptions::default() };
+    let models = PerShape::train(&training, |training| Ok(train(&mesh, &images, training)?))?;
+    models.cut.save(&out.join(format!("model-{tracked}.aam6d")))?;
+    let model = &models.cut;
     spinner.finish_and_clear();
 
     let scene = dataset.scene(tracked)?;
@@ -105,7 +108,7 @@ fn case(out: &Path, data: &Path, options: &Options, tracked: u32, trained_on: u3
         template_px: model.levels[0].pixels.len(),
         truth: motion::of_truth(&truth, first),
     };
-    Ok(Case { record, scene, truth, object: EvalObject::new(&mesh)?, mesh, model, start })
+    Ok(Case { record, scene, truth, object: EvalObject::new(&mesh)?, mesh, models, start })
 }
 
 /// Frame numbers spread over `0..frames`, first and last included.

@@ -4,40 +4,39 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use super::published::Published;
-use crate::align::{Aligner, InverseCompositional};
+use crate::align::Method;
 use crate::backend::{Backend, CpuBackend};
+use crate::train::TrainOptions;
 
-/// A method to compare.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum Method {
-    /// The default method
-    InverseCompositional,
+/// The method of the paper's Table 1 beside which ours stands.
+pub(super) fn counterpart(method: Method) -> Published {
+    match method {
+        Method::InverseCompositional | Method::Paper => Published::Proposed,
+        Method::ForwardAdditive => Published::Previous,
+        Method::Edge => Published::Geometric,
+    }
 }
 
-impl Method {
-    /// All of them, in the order of every table and legend.
-    pub(super) const ALL: [Self; 1] = [Self::InverseCompositional];
+/// A value for methods that take the triangles between landmarks as they are, and one for the others.
+#[derive(Debug, Clone)]
+pub(super) struct PerShape<T> {
+    pub(super) cut: T,
+    pub(super) whole: T,
+}
 
-    /// The name on the command line.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::InverseCompositional => "inverse-compositional",
-        }
+impl<T> PerShape<T> {
+    /// Makes one value per kind of shape, from the options that train it.
+    pub(super) fn train(
+        options: &TrainOptions,
+        make: impl Fn(&TrainOptions) -> anyhow::Result<T>,
+    ) -> anyhow::Result<Self> {
+        let whole = TrainOptions { max_edge_px: f64::INFINITY, ..options.clone() };
+        Ok(Self { cut: make(options)?, whole: make(&whole)? })
     }
 
-    /// The method of the paper's Table 1 it stands beside.
-    pub(super) fn counterpart(self) -> Published {
-        match self {
-            Self::InverseCompositional => Published::Proposed,
-        }
-    }
-
-    /// The method itself.
-    pub(super) fn aligner(self) -> Box<dyn Aligner> {
-        match self {
-            Self::InverseCompositional => Box::new(InverseCompositional::default()),
-        }
+    /// The one for a method.
+    pub(super) fn of(&self, method: Method) -> &T {
+        if method.wants_whole_triangles() { &self.whole } else { &self.cut }
     }
 }
 

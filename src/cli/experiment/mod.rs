@@ -25,10 +25,11 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::summary::JsonArg;
+use crate::align::Method;
 use crate::simulate::SceneKind;
 use basin::Basin;
 use cases::Case;
-use methods::{Choice, Method, engines};
+use methods::{Choice, engines};
 use record::{Options, PublishedTable, Report, write_bytes, write_json, write_text};
 use run::Plan;
 use template::Picture;
@@ -230,7 +231,7 @@ fn publish(out: &Path, report: &Report, basin: Option<&Basin>) -> anyhow::Result
 /// Template and weights of the model of a sequence.
 fn draw_template(out: &Path, case: &Case) -> anyhow::Result<()> {
     let n = case.record.number;
-    let picture = Picture::new(&case.model, &case.mesh)?;
+    let picture = Picture::new(&case.models.cut, &case.mesh)?;
     let path = |name: &str, ending: &str| out.join(format!("figures/{name}-{n}.{ending}"));
     write_bytes(&path("template", "png"), &picture.template_png()?)?;
     write_bytes(&path("weights", "png"), &picture.weights_png()?)?;

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::methods::{Choice, Engine, Method};
+use super::methods::{Choice, Engine};
 use super::published::Published;
+use crate::align::Method;
 use crate::dataset::write_atomically;
 use crate::eval::{ErrorStatistics, Evaluation};
 use crate::simulate::SceneKind;

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use super::cases::Case;
-use super::methods::{Engine, Method};
+use super::methods::{Engine, counterpart};
 use super::motion;
 use super::published;
 use super::record::{Below, FrameError, Run};
+use crate::align::Method;
 use crate::cli::track::{Outputs, track_scene};
 use crate::eval::frames::frame_errors;
 use crate::eval::{Estimate, evaluate};
@@ -34,10 +35,11 @@ impl Plan<'_> {
 
     /// Tracks the sequence, writes `runs/<name>.csv`, `.jsonl` and pictures, and judges the result.
     pub(super) fn run(&self) -> anyhow::Result<Run> {
-        let Case { scene, truth, object, model, start, .. } = self.case;
+        let Case { scene, truth, object, models, start, .. } = self.case;
         let backend = self.engine.open(self.adapter)?;
         let camera = scene.frames[0].camera;
-        let mut tracker = Tracker::new(model.clone(), camera, backend, self.method.aligner())?;
+        let mut tracker =
+            Tracker::new(models.of(self.method).clone(), camera, backend, self.method.aligner())?;
         tracker.start_at(*start);
         let results = self.out.join("runs").join(format!("{}.csv", self.name()));
         let details = results.with_extension("jsonl");
@@ -64,7 +66,7 @@ impl Plan<'_> {
         let lost_frames: Vec<u32> = judged.iter().filter(|f| f.lost).map(|f| f.frame).collect();
         let coefficients = motion::of_estimates(estimates, &lost_frames);
         let motion_errors = motion::errors(&coefficients, truth);
-        let counterpart = self.method.counterpart();
+        let counterpart = counterpart(self.method);
         let below_published = published::errors(record.number, counterpart)
             .and_then(|published| Below::of(&published, &motion_errors));
         let frames = judged.iter().map(|f| FrameError {

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::cases::TRAINING_IMAGES;
+use super::methods::PerShape;
 use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 use crate::simulate::{Noise, Sequence, SequenceOptions};
@@ -27,7 +28,7 @@ pub(super) struct Scene {
     sequence: Sequence,
     pub(super) camera: Camera,
     pub(super) landmarks: Vec<Point3<f64>>,
-    pub(super) model: Model,
+    pub(super) models: PerShape<Model>,
 }
 
 /// One picture with its true pose.
@@ -52,10 +53,10 @@ impl Scene {
             })
             .collect();
         let mesh = &other.object().mesh;
-        let model = train(mesh, &images, &TrainOptions::default())?;
+        let models = PerShape::train(&TrainOptions::default(), |options| Ok(train(mesh, &images, options)?))?;
         let sequence = Sequence::new(SequenceOptions { seed, sequence: 1, ..SequenceOptions::default() })?;
         let camera = *sequence.camera();
-        Ok(Self { seed, camera, landmarks: mesh.vertices.clone(), model, sequence })
+        Ok(Self { seed, camera, landmarks: mesh.vertices.clone(), models, sequence })
     }
 
     fn random(&self, stream: u64) -> ChaCha8Rng {
@@ -104,7 +105,7 @@ impl Scene {
     fn start(&self, view: &View, distance: f64, random: &mut ChaCha8Rng) -> Pose {
         let shift = Vector3::from(SHIFT.map(|half| half * symmetric(random)));
         let turn = Vector3::from([TURN; 3].map(|half| half * symmetric(random)));
-        let centre = self.model.shape.centre;
+        let centre = self.models.cut.shape.centre;
         let moved = |scale: f64| view.pose.compose(&Pose::about(turn * scale, shift * scale, &centre));
         let (mut below, mut above) = (0.0, 64.0);
         for _ in 0..60 {

@@ -53,7 +53,7 @@ impl<'a> Picture<'a> {
             let corners = geometry.corners.map(|c| apply(&warp, &c).unwrap_or_default());
             for_each_pixel(&corners, camera.width, camera.height, |u, v| {
                 let at = apply(&back, &Point2::new(f64::from(u), f64::from(v)));
-                if let Some(&i) = at.and_then(nearest).and_then(|p| known.get(&p)) {
+                if let Some(i) = at.and_then(|p| nearest(&p, &known)) {
                     pixels.push(([u, v], level.pixels.intensity[i], level.pixels.weight[i]));
                 }
             });
@@ -146,12 +146,19 @@ impl<'a> Picture<'a> {
     }
 }
 
-fn nearest(p: Point2<f64>) -> Option<[u16; 2]> {
+/// The chart pixel nearest to a position, among the four around it: another view leaves out single ones.
+fn nearest(at: &Point2<f64>, known: &HashMap<[u16; 2], usize>) -> Option<usize> {
     let whole = |x: f64| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is checked")]
-        (x.round() >= 0.0 && x.round() <= f64::from(u16::MAX)).then(|| x.round() as u16)
+        (x >= 0.0 && x <= f64::from(u16::MAX)).then_some(x as u16)
     };
-    Some([whole(p.x)?, whole(p.y)?])
+    let around =
+        [at.x.floor(), at.x.ceil()].into_iter().flat_map(|u| [at.y.floor(), at.y.ceil()].map(|v| (u, v)));
+    let found = around.filter_map(|(u, v)| {
+        let i = *known.get(&[whole(u)?, whole(v)?])?;
+        Some(((u - at.x).hypot(v - at.y), i))
+    });
+    found.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, i)| i)
 }
 
 fn round(v: f64) -> f64 {

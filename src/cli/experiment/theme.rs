@@ -1,7 +1,7 @@
 //! How figures look: colours for light and dark, and one dash pattern and marker per method, so that lines can be
 //! told apart without colour.
 
-use super::methods::Method;
+use crate::align::Method;
 
 /// Looks of one line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
