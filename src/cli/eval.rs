@@ -8,8 +8,8 @@ use serde::Deserialize;
 
 use super::frames::SceneArgs;
 use super::summary::JsonArg;
-use crate::dataset::{PoseSource, results};
-use crate::eval::{Estimate, EvalObject, evaluate};
+use crate::dataset::{PoseSource, results, robot};
+use crate::eval::{Estimate, EvalObject, RobotCell, evaluate, evaluate_in_cell};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -26,8 +26,26 @@ pub(super) struct Args {
     /// Details file of `aam6d track`, for the iterations
     #[arg(long, value_name = "FILE")]
     details: Option<PathBuf>,
+    /// Robot poses (scene_robot.json): also judge the motion of the end-effector against the robot
+    #[arg(long, value_name = "FILE", requires = "hand_eye")]
+    robot: Option<PathBuf>,
+    /// Hand-eye transform (hand_eye.json), for --robot
+    #[arg(long, value_name = "FILE", requires = "robot")]
+    hand_eye: Option<PathBuf>,
     #[command(flatten)]
     json: JsonArg,
+}
+
+impl Args {
+    fn cell(&self) -> anyhow::Result<Option<RobotCell>> {
+        let Some((robot, hand_eye)) = self.robot.as_deref().zip(self.hand_eye.as_deref()) else {
+            return Ok(None);
+        };
+        Ok(Some(RobotCell {
+            base_from_effector: robot::read_robot(robot)?,
+            effector_from_camera: robot::read_hand_eye(hand_eye)?.effector_from_camera,
+        }))
+    }
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
@@ -56,7 +74,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
             iterations: iterations.get(&r.im_id).copied(),
         })
         .collect();
-    let evaluation = evaluate(&estimates, &truth, &object, &scene.cameras())?;
+    let evaluation = match args.cell()? {
+        Some(cell) => evaluate_in_cell(&estimates, &truth, &object, &scene.cameras(), &cell)?,
+        None => evaluate(&estimates, &truth, &object, &scene.cameras())?,
+    };
     args.json.write(&evaluation.to_string(), &evaluation)
 }
 

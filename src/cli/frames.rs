@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use image::GrayImage;
 
-use crate::dataset::{Dataset, FrameInfo, PoseSource, Scene};
+use crate::dataset::{Annotations, Dataset, FrameInfo, PoseSource, Scene};
 use crate::geometry::Pose;
 use crate::imaging::{Rectifier, gray};
 use crate::train::TrainingImage;
+use crate::train::annotated::AnnotatedImage;
 
 /// The dataset and scene of a command.
 #[derive(Debug, Clone, clap::Args)]
@@ -46,6 +47,30 @@ pub(super) fn pose_of(poses: &BTreeMap<u32, Pose>, frame: u32, source: &PoseSour
     })
 }
 
+/// A frame of a scene by its id.
+fn find(scene: &Scene, id: u32) -> anyhow::Result<&FrameInfo> {
+    scene.frames.iter().find(|f| f.id == id).with_context(|| {
+        let (first, last) = (scene.frames[0].id, scene.frames[scene.frames.len() - 1].id);
+        format!("scene {} has no frame {id}; its frames go from {first} to {last}", scene.id)
+    })
+}
+
+/// Rectified training images of the given frames with their annotations.
+pub(super) fn annotated_images(
+    scene: &Scene,
+    annotations: &Annotations,
+    frames: &[u32],
+) -> anyhow::Result<Vec<AnnotatedImage>> {
+    let image = |id: &u32| {
+        let landmarks =
+            annotations.frames.get(id).cloned().with_context(|| format!("frame {id} is not annotated"))?;
+        let frame = find(scene, *id)?;
+        let image = Rectifier::new(&frame.camera).rectify(read(frame)?);
+        Ok(AnnotatedImage { frame: *id, image, camera: frame.camera, landmarks })
+    };
+    frames.iter().map(image).collect()
+}
+
 /// Rectified training images of the given frames with their poses.
 pub(super) fn training_images(
     scene: &Scene,
@@ -54,10 +79,7 @@ pub(super) fn training_images(
     frames: &[u32],
 ) -> anyhow::Result<Vec<TrainingImage>> {
     let image = |id: &u32| {
-        let frame = scene.frames.iter().find(|f| f.id == *id).with_context(|| {
-            let (first, last) = (scene.frames[0].id, scene.frames[scene.frames.len() - 1].id);
-            format!("scene {} has no frame {id}; its frames go from {first} to {last}", scene.id)
-        })?;
+        let frame = find(scene, *id)?;
         let rectified = Rectifier::new(&frame.camera).rectify(read(frame)?);
         Ok(TrainingImage {
             image: rectified,

@@ -6,7 +6,9 @@ mod demo;
 mod eval;
 mod experiment;
 mod frames;
+mod hand_eye;
 mod info;
+mod landmarks;
 mod overlay;
 mod progress;
 mod records;
@@ -35,7 +37,9 @@ enum Command {
     Demo(demo::Args),
     /// Write a simulated BOP dataset with exact ground truth
     Simulate(simulate::Args),
-    /// Train a model from posed frames
+    /// Triangulate landmarks from clicks in a stereo pair
+    Landmarks(landmarks::Args),
+    /// Train a model from posed or annotated frames
     Train(train::Args),
     /// Track an object through a scene
     Track(track::Args),
@@ -45,6 +49,8 @@ enum Command {
     Eval(eval::Args),
     /// Compare the methods as the paper does: Table 1, figures, one page
     Experiment(experiment::Args),
+    /// Calibrate where the camera sits on the robot's end-effector
+    HandEye(hand_eye::Args),
     /// Show the adapters, which one would be used and why, and test CPU against GPU
     Info(info::Args),
 }
@@ -74,11 +80,13 @@ fn execute(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Demo(args) => demo::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Landmarks(args) => landmarks::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Track(args) => track::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Experiment(args) => experiment::run(&args),
+        Command::HandEye(args) => hand_eye::run(&args),
         Command::Info(args) => info::run(&args),
     }
 }

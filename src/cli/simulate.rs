@@ -2,11 +2,23 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::progress;
 use super::summary::JsonArg;
-use crate::simulate::{SceneKind, SequenceOptions, write_dataset};
+use crate::simulate::{CellOptions, SceneKind, SequenceOptions, write_cell, write_dataset};
+
+/// What can be simulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Choice {
+    /// A relief of 76 landmarks that tilts and rolls
+    Relief,
+    /// A box that turns about its vertical axis
+    Box,
+    /// A stereo camera on a robot's end-effector that moves around the relief, with all files of the paper's experiment
+    Cell,
+}
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -15,7 +27,7 @@ pub(super) struct Args {
     out: PathBuf,
     /// What to show
     #[arg(long, value_enum, default_value = "relief")]
-    scene: SceneKind,
+    scene: Choice,
     /// Frames of each of the two sequences (scenes 1 and 2)
     #[arg(long, default_value_t = 120)]
     frames: usize,
@@ -31,6 +43,15 @@ pub(super) struct Args {
     /// Standard deviation of the noise in grey levels of 255
     #[arg(long, value_name = "SIGMA", default_value_t = 2.0)]
     noise: f64,
+    /// Cell: standard deviation of a click in pixels, per coordinate
+    #[arg(long, value_name = "PX", default_value_t = 0.3)]
+    click_noise: f64,
+    /// Cell: standard deviation of the robot's poses, millimetres and degrees per axis
+    #[arg(long, value_name = "MM,DEG", value_delimiter = ',', num_args = 1, default_value = "0,0")]
+    kinematic_noise: Vec<f64>,
+    /// Cell: annotated training frames of each sequence
+    #[arg(long, value_name = "N", default_value_t = 16)]
+    training_views: usize,
     #[command(flatten)]
     json: JsonArg,
 }
@@ -40,28 +61,78 @@ struct Summary {
     out: PathBuf,
     scenes: Vec<u32>,
     frames_per_scene: usize,
-    options: SequenceOptions,
+    options: Options,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+enum Options {
+    Sequence(SequenceOptions),
+    Cell(CellOptions),
+}
+
+impl Args {
+    fn sequence(&self, scene: SceneKind) -> SequenceOptions {
+        SequenceOptions {
+            scene,
+            frames: self.frames,
+            seed: self.seed,
+            light: self.light,
+            occlusion: self.occlusion,
+            noise: self.noise,
+            ..SequenceOptions::default()
+        }
+    }
+
+    fn cell(&self) -> anyhow::Result<CellOptions> {
+        let [kinematic_noise_mm, kinematic_noise_deg] = self.kinematic_noise[..] else {
+            anyhow::bail!("--kinematic-noise takes two numbers, e.g. 1,0.05 for 1 mm and 0.05 degrees");
+        };
+        anyhow::ensure!(self.occlusion == 0.0, "--occlusion is not for the cell; use --scene relief or box");
+        Ok(CellOptions {
+            frames: self.frames,
+            seed: self.seed,
+            light: self.light,
+            noise: self.noise,
+            click_noise_px: self.click_noise,
+            kinematic_noise_mm,
+            kinematic_noise_deg,
+            training_views: self.training_views,
+        })
+    }
+
+    fn options(&self) -> anyhow::Result<Options> {
+        Ok(match self.scene {
+            Choice::Relief => Options::Sequence(self.sequence(SceneKind::Relief)),
+            Choice::Box => Options::Sequence(self.sequence(SceneKind::Box)),
+            Choice::Cell => Options::Cell(self.cell()?),
+        })
+    }
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
-    let options = SequenceOptions {
-        scene: args.scene,
-        frames: args.frames,
-        seed: args.seed,
-        light: args.light,
-        occlusion: args.occlusion,
-        noise: args.noise,
-        ..SequenceOptions::default()
-    };
-    let sequences = [1, 2].map(|sequence| SequenceOptions { sequence, ..options });
+    let options = args.options()?;
     let bar = progress::frames(0, "rendering");
-    write_dataset(&args.out, &sequences, |done, total| {
+    let progress = |done, total| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
-    })?;
+    };
+    match &options {
+        Options::Sequence(options) => {
+            let sequences = [1, 2].map(|sequence| SequenceOptions { sequence, ..*options });
+            write_dataset(&args.out, &sequences, progress)?;
+        }
+        Options::Cell(options) => write_cell(&args.out, options, progress)?,
+    }
     bar.finish_and_clear();
+    let more = if args.scene == Choice::Cell {
+        "; the frontal pair is scenes 3 and 4; stereo.json, clicks.json; annotations.json, scene_robot.json, \
+         hand_eye.json per scene; exact values in *_gt.json"
+    } else {
+        ""
+    };
     let text = format!(
-        "{}: scenes 1 and 2 with {} frames each, poses in scene_gt.json",
+        "{}: scenes 1 and 2 with {} frames each, poses in scene_gt.json{more}",
         args.out.display(),
         args.frames
     );

@@ -100,6 +100,13 @@ impl<'a> Node<'a> {
             .ok_or_else(|| self.error("not a finite number", "write a finite number"))
     }
 
+    /// A text or a whole number, as text.
+    pub(super) fn label(&self) -> Result<String> {
+        let text = self.value.as_str().filter(|s| !s.is_empty()).map(str::to_owned);
+        text.or_else(|| self.value.as_u64().map(|n| n.to_string()))
+            .ok_or_else(|| self.error("not a name", "write a text or a whole number"))
+    }
+
     /// A whole number from 0.
     pub(super) fn whole(&self) -> Result<u32> {
         self.value

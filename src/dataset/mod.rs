@@ -7,15 +7,20 @@ pub mod bop;
 pub mod calibration;
 pub mod file;
 mod json;
+pub mod landmarks;
 pub mod ply;
 pub mod poses;
 pub mod results;
+pub mod robot;
+pub mod stereo;
 pub mod trajectory;
 
 pub use bop::{Dataset, FrameInfo, Scene};
 pub use file::write_atomically;
+pub use landmarks::{Annotations, Landmark};
 pub use poses::PoseSource;
 pub use results::ResultRow;
+pub use stereo::StereoCalibration;
 pub use trajectory::{StampedPose, Trajectory};
 
 #[cfg(test)]

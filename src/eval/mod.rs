@@ -6,10 +6,12 @@
 pub mod errors;
 pub mod frames;
 pub mod report;
+pub mod robot;
 pub mod statistics;
 mod table;
 
 pub use errors::EvalObject;
 pub use frames::{Estimate, FrameErrors};
-pub use report::{Evaluation, evaluate};
+pub use report::{Evaluation, evaluate, evaluate_in_cell};
+pub use robot::{RobotCell, RobotErrors};
 pub use statistics::ErrorStatistics;

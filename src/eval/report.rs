@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::errors::EvalObject;
+use super::errors::{self, EvalObject};
 use super::frames::{Estimate, FrameErrors, PoseErrors, frame_errors};
+use super::robot::{RobotCell, RobotErrors, robot_errors};
 use super::statistics::{PerAxis, maximum, mean, median, percentile, rms};
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose};
@@ -45,6 +46,9 @@ pub struct Evaluation {
     pub ms_per_frame: Typical,
     /// Mean number of iterations per estimate.
     pub iterations_mean: Option<f64>,
+    /// Motion of the end-effector against the robot; only with robot poses and a hand-eye transform.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<RobotErrors>,
 }
 
 /// Median and 95th percentile.
@@ -115,6 +119,35 @@ pub fn evaluate(
     }
     let frames = frame_errors(estimates, truth, object, cameras);
     Ok(Evaluation { without_truth, jitter: jitter(&frames), ..summary(&frames) })
+}
+
+/// As [`evaluate`], and the motion of the end-effector against the robot, [`robot_errors`]. Of a frame with several
+/// estimates the first counts.
+///
+/// # Errors
+/// As [`evaluate`], and [`Error::Invalid`] if no tracked frame has a robot pose.
+pub fn evaluate_in_cell(
+    estimates: &[Estimate],
+    truth: &BTreeMap<u32, Pose>,
+    object: &EvalObject,
+    cameras: &BTreeMap<u32, Camera>,
+    cell: &RobotCell,
+) -> Result<Evaluation> {
+    let evaluation = evaluate(estimates, truth, object, cameras)?;
+    let is_tracked = |e: &Estimate, truth: &Pose| {
+        let t = errors::translation_error_mm(&e.pose, truth, &object.centre()).norm();
+        !errors::is_lost(t, errors::rotation_error_deg(&e.pose, truth).norm(), e.score)
+    };
+    let mut tracked: BTreeMap<u32, Pose> = BTreeMap::new();
+    for e in estimates.iter().filter(|e| truth.get(&e.frame).is_some_and(|t| is_tracked(e, t))) {
+        tracked.entry(e.frame).or_insert(e.pose);
+    }
+    let robot = robot_errors(&tracked.into_iter().collect::<Vec<_>>(), cell);
+    if robot.reference_frame.is_none() && evaluation.lost < evaluation.frames {
+        let problem = "it has no pose for any tracked frame";
+        return Err(Error::invalid("robot", problem, "give scene_robot.json of the same scene"));
+    }
+    Ok(Evaluation { robot: Some(robot), ..evaluation })
 }
 
 /// Everything that does not depend on which frames follow each other.

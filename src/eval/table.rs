@@ -3,6 +3,7 @@
 use std::fmt::{self, Display, Formatter};
 
 use super::report::Evaluation;
+use super::robot::RobotErrors;
 use super::statistics::ErrorStatistics;
 
 impl Display for Evaluation {
@@ -29,8 +30,24 @@ impl Display for Evaluation {
         line(f, "jitter", &[("", self.jitter.t_mm, "mm"), ("", self.jitter.r_deg, "deg")])?;
         let time = &self.ms_per_frame;
         line(f, "time per frame", &[("median", time.median, "ms"), ("95 %", time.p95, "ms")])?;
-        line(f, "iterations, mean", &[("", self.iterations_mean, "")])
+        line(f, "iterations, mean", &[("", self.iterations_mean, "")])?;
+        self.robot.as_ref().map_or(Ok(()), |robot| robot_table(f, robot))
     }
+}
+
+/// Motion of the end-effector against the robot, eqs. (19) and (20).
+fn robot_table(f: &mut Formatter<'_>, robot: &RobotErrors) -> fmt::Result {
+    let reference = robot.reference_frame.map_or_else(|| "-".to_owned(), |frame| frame.to_string());
+    let title = format!("end-effector, from {reference}");
+    writeln!(f, "{title:<24}{:>10}{:>10}{:>10}", "avg", "std", "max")?;
+    for (what, axes, unit) in
+        [("translation", &robot.translation_mm, "mm"), ("rotation about", &robot.rotation_deg, "deg")]
+    {
+        for (name, e) in [("x", &axes.x), ("y", &axes.y), ("z", &axes.z)] {
+            axis(f, &format!("{what} {name}"), e, unit)?;
+        }
+    }
+    line(f, "rms", &[("", robot.rms_t_mm, "mm"), ("", robot.rms_r_deg, "deg")])
 }
 
 /// A number with three decimals, or a dash.

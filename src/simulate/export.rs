@@ -31,6 +31,27 @@ pub fn write_dataset(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<()> {
     check_options(sequences)?;
+    let total = sequences.iter().map(|s| s.frames).sum();
+    write_folder(out, |folder| {
+        let mut done = 0;
+        for (index, options) in sequences.iter().enumerate() {
+            let sequence = Sequence::new(*options)?;
+            if index == 0 {
+                write_models(&folder.join("models"), &sequence.object().mesh)?;
+                write_text(&folder.join("camera.json"), &pretty(&camera_json(sequence.camera())))?;
+            }
+            let scene = folder.join("test").join(format!("{:06}", options.sequence));
+            write_sequence(&scene, &sequence, || {
+                done += 1;
+                progress(done, total);
+            })?;
+        }
+        Ok(())
+    })
+}
+
+/// Has a folder written beside `out` and renames it when it is complete.
+pub(super) fn write_folder(out: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     check_folder(out)?;
     let name = out.file_name().ok_or_else(|| {
         Error::invalid(out.display().to_string(), "is not the name of a folder", "give a new folder")
@@ -42,20 +63,8 @@ pub fn write_dataset(
         tempfile::Builder::new().prefix(&prefix).tempdir_in(parent).map_err(|e| Error::io(parent, e))?;
     // The temporary folder is private to the user; the dataset inside has ordinary permissions.
     let unfinished = temporary.path().join("dataset");
-    let total = sequences.iter().map(|s| s.frames).sum();
-    let mut done = 0;
-    for (index, options) in sequences.iter().enumerate() {
-        let sequence = Sequence::new(*options)?;
-        if index == 0 {
-            write_models(&unfinished.join("models"), &sequence.object().mesh)?;
-            write_text(&unfinished.join("camera.json"), &pretty(&camera_json(sequence.camera())))?;
-        }
-        let folder = unfinished.join("test").join(format!("{:06}", options.sequence));
-        write_sequence(&folder, &sequence, || {
-            done += 1;
-            progress(done, total);
-        })?;
-    }
+    create_folder(&unfinished)?;
+    write(&unfinished)?;
     if out.exists() {
         fs::remove_dir(out).map_err(|e| Error::io(out, e))?;
     }
@@ -94,7 +103,7 @@ fn check_folder(out: &Path) -> Result<()> {
     }
 }
 
-fn write_sequence(folder: &Path, sequence: &Sequence, mut written: impl FnMut()) -> Result<()> {
+pub(super) fn write_sequence(folder: &Path, sequence: &Sequence, mut written: impl FnMut()) -> Result<()> {
     let images = folder.join("gray");
     create_folder(&images)?;
     let frames: Vec<usize> = (0..sequence.len()).collect();
@@ -110,25 +119,25 @@ fn write_sequence(folder: &Path, sequence: &Sequence, mut written: impl FnMut())
     write_frames(&folder.join("scene_gt.json"), sequence.len(), |k| pose_json(&sequence.pose(k)))
 }
 
-fn write_models(folder: &Path, mesh: &TriangleMesh) -> Result<()> {
+pub(super) fn write_models(folder: &Path, mesh: &TriangleMesh) -> Result<()> {
     create_folder(folder)?;
     write_text(&folder.join(format!("obj_{OBJECT_ID:06}.ply")), &ply(mesh))?;
     let info = Map::from_iter([(OBJECT_ID.to_string(), model_info(mesh))]);
     write_text(&folder.join("models_info.json"), &pretty(&Value::Object(info)))
 }
 
-fn camera_json(camera: &Camera) -> Value {
+pub(super) fn camera_json(camera: &Camera) -> Value {
     json!({
         "cx": camera.cx, "cy": camera.cy, "depth_scale": 1.0, "fx": camera.fx, "fy": camera.fy,
         "height": camera.height, "width": camera.width,
     })
 }
 
-fn scene_camera_json(camera: &Camera) -> Value {
+pub(super) fn scene_camera_json(camera: &Camera) -> Value {
     json!({ "cam_K": row_major(&camera.matrix()), "depth_scale": 1.0 })
 }
 
-fn pose_json(pose: &Pose) -> Value {
+pub(super) fn pose_json(pose: &Pose) -> Value {
     let t_mm: Vec<f64> = pose.translation().iter().map(|t| t * 1000.0).collect();
     json!([{ "cam_R_m2c": row_major(&pose.rotation()), "cam_t_m2c": t_mm, "obj_id": OBJECT_ID }])
 }
@@ -171,16 +180,16 @@ fn ply(mesh: &TriangleMesh) -> String {
 }
 
 /// A JSON object with one line per frame.
-fn write_frames(path: &Path, count: usize, entry: impl Fn(usize) -> Value) -> Result<()> {
+pub(super) fn write_frames(path: &Path, count: usize, entry: impl Fn(usize) -> Value) -> Result<()> {
     let lines: Vec<String> = (0..count).map(|k| format!("  \"{k}\": {}", entry(k))).collect();
     write_text(path, &format!("{{\n{}\n}}\n", lines.join(",\n")))
 }
 
-fn pretty(value: &Value) -> String {
+pub(super) fn pretty(value: &Value) -> String {
     format!("{value:#}\n")
 }
 
-fn write_png(path: &Path, image: &GrayImage) -> Result<()> {
+pub(super) fn write_png(path: &Path, image: &GrayImage) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(image.as_raw(), image.width(), image.height(), ExtendedColorType::L8)
@@ -188,11 +197,11 @@ fn write_png(path: &Path, image: &GrayImage) -> Result<()> {
     fs::write(path, bytes).map_err(|e| Error::io(path, e))
 }
 
-fn write_text(path: &Path, text: &str) -> Result<()> {
+pub(super) fn write_text(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).map_err(|e| Error::io(path, e))
 }
 
-fn create_folder(path: &Path) -> Result<()> {
+pub(super) fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(|e| Error::io(path, e))
 }
 

@@ -14,7 +14,9 @@
 //! # Ok::<(), aam6d::Error>(())
 //! ```
 
+pub mod cell;
 pub mod export;
+mod export_cell;
 pub mod light;
 pub mod object;
 pub mod occluder;
@@ -26,7 +28,9 @@ pub mod render;
 pub mod sequence;
 pub mod texture;
 
+pub use cell::{Cell, CellOptions};
 pub use export::write_dataset;
+pub use export_cell::write_cell;
 pub use light::Light;
 pub use object::{Patch, TexturedMesh, relief, textured_box};
 pub use occluder::Occluder;

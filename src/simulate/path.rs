@@ -97,7 +97,7 @@ impl Path {
 }
 
 /// Rotation by a rotation vector, radians, without the platform's sine.
-fn rotation(vector: Vector3<f64>) -> UnitQuaternion<f64> {
+pub(super) fn rotation(vector: Vector3<f64>) -> UnitQuaternion<f64> {
     let half = 0.5 * vector.norm();
     // sin(h) / (2 h) tends to 1/2.
     let scale = if half > 1e-12 { 0.5 * libm::sin(half) / half } else { 0.5 };

@@ -18,6 +18,8 @@ pub(super) enum Purpose {
     Path = 5,
     Light = 6,
     Noise = 7,
+    Click = 8,
+    Robot = 9,
 }
 
 /// One independent stream of random numbers.

@@ -1,6 +1,7 @@
 //! From posed images to a [`Model`]: charts from the views that see each triangle best, mean and modes over all
 //! images, edge weights.
 
+pub mod annotated;
 mod assign;
 mod canvas;
 mod modes;

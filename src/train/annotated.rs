@@ -1,0 +1,180 @@
+//! Annotated training (section 2 of the paper): images whose landmarks are marked, and no poses.
+//!
+//! The pose of every image follows from its landmarks, the mesh from their Delaunay triangulation in the image that
+//! sees the shape most frontally; then training goes on as with posed images.
+
+use image::GrayImage;
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+use super::TrainingImage;
+use crate::error::{Error, Result};
+use crate::geometry::mesh::delaunay;
+use crate::geometry::pnp::{self, PnpSolution};
+use crate::geometry::{Camera, Pose, TriangleMesh};
+
+/// Triangles of the mesh that are smaller than this in the reference image are slivers of the outline, square pixels.
+const MIN_TRIANGLE_PX2: f64 = 40.0;
+
+/// A training image with all landmarks marked.
+#[derive(Debug, Clone)]
+pub struct AnnotatedImage {
+    /// Frame id, for messages.
+    pub frame: u32,
+    /// Rectified image.
+    pub image: GrayImage,
+    /// The camera as calibrated, with its lens: the annotations are in the image as taken.
+    pub camera: Camera,
+    /// One pixel per landmark.
+    pub landmarks: Vec<Point2<f64>>,
+}
+
+/// Annotated images made ready for [`super::train`].
+#[derive(Debug, Clone)]
+pub struct Posed {
+    /// The images with their poses.
+    pub images: Vec<TrainingImage>,
+    /// How well the landmarks fit, per image.
+    pub fits: Vec<PnpSolution>,
+    /// The landmarks' mesh.
+    pub mesh: TriangleMesh,
+    /// Index of the image in which the landmarks were triangulated.
+    pub reference: usize,
+}
+
+/// Finds the poses of annotated images by their landmarks (`shape`: positions in the object frame, metres) and joins
+/// the landmarks to a mesh. An annotation further than `max_distance_px` from its reprojected landmark is refused.
+///
+/// # Errors
+/// [`Error::Invalid`] naming the frame for what [`pnp::solve`] refuses, and frame and landmark of an annotation that
+/// does not fit; [`Error::Invalid`] if the landmarks span no surface.
+pub fn pose(shape: &[Point3<f64>], images: Vec<AnnotatedImage>, max_distance_px: f64) -> Result<Posed> {
+    let mut posed =
+        Posed { images: Vec::new(), fits: Vec::new(), mesh: TriangleMesh::default(), reference: 0 };
+    for annotated in images {
+        let fit = fit(shape, &annotated, max_distance_px)?;
+        posed.images.push(TrainingImage {
+            image: annotated.image,
+            camera: annotated.camera.rectified(),
+            camera_from_object: fit.camera_from_object,
+        });
+        posed.fits.push(fit);
+    }
+    let views: Vec<Pose> = posed.images.iter().map(|i| i.camera_from_object).collect();
+    let Some(reference) = most_frontal(shape, &views) else {
+        return Err(Error::invalid("training", "there is no annotated image", "annotate at least one"));
+    };
+    posed.reference = reference;
+    let image = &posed.images[reference];
+    posed.mesh = landmark_mesh(shape, &image.camera, &image.camera_from_object)?;
+    Ok(posed)
+}
+
+fn fit(shape: &[Point3<f64>], annotated: &AnnotatedImage, max_distance_px: f64) -> Result<PnpSolution> {
+    let frame = |e| match e {
+        Error::Invalid { what, problem, remedy } => {
+            Error::invalid(format!("frame {}: {what}", annotated.frame), problem, remedy)
+        }
+        other => other,
+    };
+    let fit = pnp::solve(&annotated.camera, shape, &annotated.landmarks).map_err(frame)?;
+    let far = |&k: &usize| {
+        // Written so that NaN is far too.
+        let near = fit.distances_px[k] <= max_distance_px;
+        !near
+    };
+    let worst = (0..shape.len()).max_by(|&a, &b| fit.distances_px[a].total_cmp(&fit.distances_px[b]));
+    if let Some(k) = worst.filter(far) {
+        let problem = format!(
+            "landmark {k} is annotated {:.1} px from where it should be (rms of all {:.2} px)",
+            fit.distances_px[k], fit.rms_px
+        );
+        let remedy = "annotate it again, and check that landmarks and annotations have the same names";
+        return Err(Error::invalid(format!("frame {}", annotated.frame), problem, remedy));
+    }
+    Ok(fit)
+}
+
+/// The view whose line of sight is nearest to the normal of the points' best plane.
+fn most_frontal(shape: &[Point3<f64>], views: &[Pose]) -> Option<usize> {
+    #[expect(clippy::cast_precision_loss, reason = "point counts are far below 2^52")]
+    let centre = Point3::from(shape.iter().fold(Vector3::zeros(), |s, p| s + p.coords) / shape.len() as f64);
+    let scatter = shape.iter().fold(Matrix3::zeros(), |m, p| m + (p - centre) * (p - centre).transpose());
+    let eigen = scatter.symmetric_eigen();
+    let normal: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
+    let cosine = |pose: &Pose| {
+        let sight = pose.transform_point(&centre).coords;
+        pose.rotate(&normal).dot(&sight.normalize()).abs()
+    };
+    (0..views.len()).max_by(|&a, &b| cosine(&views[a]).total_cmp(&cosine(&views[b])))
+}
+
+/// Joins landmarks to a mesh by Delaunay triangulation of their pixels in a view; outside is where the camera is.
+///
+/// # Errors
+/// [`Error::Invalid`] if a landmark is behind the camera, two coincide in the image, or all are on one line.
+pub fn landmark_mesh(
+    shape: &[Point3<f64>],
+    camera: &Camera,
+    camera_from_object: &Pose,
+) -> Result<TriangleMesh> {
+    let project = |(k, x): (usize, &Point3<f64>)| {
+        camera.project(&camera_from_object.transform_point(x)).ok_or_else(|| {
+            let problem = "it is behind the camera";
+            Error::invalid(format!("landmark {k}"), problem, "check landmarks and annotations")
+        })
+    };
+    let pixels: Result<Vec<Point2<f64>>> = shape.iter().enumerate().map(project).collect();
+    let triangles = delaunay(&pixels?, MIN_TRIANGLE_PX2)?;
+    // Clockwise on screen, y down, is a normal along the view: turned round, it looks at the camera.
+    let triangles = triangles.into_iter().map(|[a, b, c]| [a, c, b]).collect();
+    Ok(TriangleMesh { vertices: shape.to_vec(), triangles })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulate::{Renderer, View, relief};
+    use crate::train::{TrainOptions, train};
+    use nalgebra::Rotation3;
+
+    fn annotated(frame: u32, turn: [f64; 3]) -> (Pose, AnnotatedImage) {
+        let camera = Camera::pinhole(400.0, 400.0, 159.5, 119.5, 320, 240);
+        let pose = Pose::new(Rotation3::new(turn.into()), Vector3::new(0.01, 0.0, 0.6));
+        let object = relief(1);
+        let see = |x: &Point3<f64>| camera.project(&pose.transform_point(x)).unwrap();
+        let landmarks = object.mesh.vertices.iter().map(see).collect();
+        let image = Renderer::new(object, camera).unwrap().render_view(&View { pose, ..View::default() });
+        (pose, AnnotatedImage { frame, image, camera, landmarks })
+    }
+
+    #[test]
+    fn exact_annotations_give_poses_mesh_and_model() {
+        let (tilted, frontal) = (annotated(4, [0.4, 0.2, 0.3]), annotated(9, [0.02, 0.0, 0.0]));
+        let shape = relief(1).mesh.vertices;
+        let posed = pose(&shape, vec![tilted.1, frontal.1], 5.0).unwrap();
+        assert_eq!(posed.reference, 1, "the frontal view");
+        for (image, truth) in posed.images.iter().zip([tilted.0, frontal.0]) {
+            let off = (image.camera_from_object.matrix() - truth.matrix()).norm();
+            assert!(off < 1e-6, "{off}");
+        }
+        assert!((posed.mesh.area() / relief(1).mesh.area() - 1.0).abs() < 0.01, "{}", posed.mesh.area());
+        assert!((0..posed.mesh.triangles.len()).all(|t| posed.mesh.normal(t).z < 0.0), "the front looks out");
+        let model = train(&posed.mesh, &posed.images, &TrainOptions::default()).unwrap();
+        assert!(model.levels[0].pixels.len() > 10_000, "{} px", model.levels[0].pixels.len());
+    }
+
+    #[test]
+    fn wrong_annotations_are_named() {
+        let shape = relief(1).mesh.vertices;
+        let mut wrong = annotated(4, [0.4, 0.2, 0.3]).1;
+        wrong.landmarks[30].x += 25.0;
+        let text = pose(&shape, vec![wrong.clone()], 5.0).unwrap_err().to_string();
+        assert!(text.contains("frame 4: landmark 30"), "{text}");
+        let text = pose(&shape[..5], vec![wrong.clone()], 5.0).unwrap_err().to_string();
+        assert!(text.contains("frame 4") && text.contains("5 points, but 76"), "{text}");
+        wrong.landmarks.truncate(3);
+        let text = pose(&shape[..3], vec![wrong], 5.0).unwrap_err().to_string();
+        assert!(text.contains("frame 4") && text.contains("too few"), "{text}");
+        assert!(pose(&shape, Vec::new(), 5.0).is_err(), "no image");
+    }
+}
