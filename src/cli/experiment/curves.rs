@@ -10,7 +10,7 @@ use super::theme::{Look, TRUTH, look};
 const MARKERS: usize = 9;
 const TITLES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 
-/// The six coefficients of the camera's motion: truth and every method.
+/// The six coefficients of the end-effector's motion: truth and every method.
 pub(super) fn coefficients(report: &Report, sequence: &SequenceRecord) -> Document {
     let runs: Vec<&Run> = report.shown(sequence.number).collect();
     let frames = || frame_axis(sequence);
@@ -29,7 +29,7 @@ pub(super) fn coefficients(report: &Report, sequence: &SequenceRecord) -> Docume
         .into();
     let mut legend: Vec<(Look, String)> = vec![(TRUTH, "truth".into())];
     legend.extend(names(&runs));
-    figure(&panels, 2, &legend, "The six coefficients of the camera's motion over the frames")
+    figure(&panels, 2, &legend, "The six coefficients of the end-effector's motion over the frames")
 }
 
 /// Errors of the object's pose on a logarithmic scale.

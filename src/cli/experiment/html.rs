@@ -114,7 +114,7 @@ fn sequence_section(
 ) -> anyhow::Result<()> {
     let n = sequence.number;
     write!(page, "<h2>Sequence {n}</h2>")?;
-    let caption = "The six coefficients of the camera's motion since the first frame. The wide pale line is the \
+    let caption = "The six coefficients of the end-effector's motion since the first frame. The wide pale line is the \
                    truth; a line ends where its method lost the object.";
     figure(page, out, &format!("coefficients-{n}"), caption)?;
     let caption = "The error of every frame, on a logarithmic scale: what cannot be seen above.";

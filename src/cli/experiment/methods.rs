@@ -43,7 +43,7 @@ impl<T> PerShape<T> {
 /// Which backends take part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Choice {
+pub(super) enum BackendChoice {
     /// The CPU backend, and the GPU backend where there is an adapter
     #[default]
     Both,
@@ -82,15 +82,15 @@ impl Engine {
 }
 
 /// The engines of a choice, those that are absent included.
-pub(super) fn engines(choice: Choice, adapter: Option<&str>) -> anyhow::Result<Vec<Engine>> {
+pub(super) fn engines(choice: BackendChoice, adapter: Option<&str>) -> anyhow::Result<Vec<Engine>> {
     match choice {
-        Choice::Cpu => {
+        BackendChoice::Cpu => {
             anyhow::ensure!(adapter.is_none(), "--adapter chooses a GPU; leave it out with --backend cpu");
             Ok(vec![Engine::cpu()])
         }
-        Choice::Gpu => Ok(vec![gpu(adapter)?]),
-        Choice::Both if adapter.is_some() => Ok(vec![Engine::cpu(), gpu(adapter)?]),
-        Choice::Both => {
+        BackendChoice::Gpu => Ok(vec![gpu(adapter)?]),
+        BackendChoice::Both if adapter.is_some() => Ok(vec![Engine::cpu(), gpu(adapter)?]),
+        BackendChoice::Both => {
             let gpu = gpu(None).unwrap_or_else(|why| Engine::absent(format!("{why:#}")));
             Ok(vec![Engine::cpu(), gpu])
         }

@@ -3,6 +3,7 @@
 mod basin;
 mod cases;
 mod curves;
+mod data;
 mod html;
 mod methods;
 mod motion;
@@ -24,12 +25,12 @@ use anyhow::Context;
 use clap::ValueEnum;
 use serde::Serialize;
 
+use super::simulate::Choice;
 use super::summary::JsonArg;
 use crate::align::Method;
-use crate::simulate::SceneKind;
 use basin::Basin;
 use cases::Case;
-use methods::{Choice, engines};
+use methods::{BackendChoice, engines};
 use record::{Options, PublishedTable, Report, write_bytes, write_json, write_text};
 use run::Plan;
 use template::Picture;
@@ -57,8 +58,8 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value = "sequences")]
     study: Study,
     /// What to show
-    #[arg(long, value_enum, default_value = "relief")]
-    scene: SceneKind,
+    #[arg(long, value_enum, default_value = "cell")]
+    scene: Choice,
     /// Frames of each of the two sequences
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..))]
     frames: u32,
@@ -68,6 +69,9 @@ pub(super) struct Args {
     /// Let exposure and direction of light change
     #[arg(long)]
     light: bool,
+    /// Cell: standard deviation of a click in pixels, per coordinate
+    #[arg(long, value_name = "PX", default_value_t = 0.3)]
+    click_noise: f64,
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
@@ -76,7 +80,7 @@ pub(super) struct Args {
     methods: Vec<Method>,
     /// Where the image work is done
     #[arg(long, value_enum, default_value = "both")]
-    backend: Choice,
+    backend: BackendChoice,
     /// GPU adapter to use: part of its name or its number (see `aam6d info`)
     #[arg(long, value_name = "NAME|INDEX")]
     adapter: Option<String>,
@@ -112,6 +116,7 @@ impl Args {
             seed: self.seed,
             light: self.light,
             modes: self.modes,
+            click_noise_px: self.click_noise,
             methods: self.methods(),
             backend: self.backend,
         }

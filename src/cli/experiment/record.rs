@@ -4,12 +4,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::methods::{Choice, Engine};
+use super::methods::{BackendChoice, Engine};
 use super::published::Published;
 use crate::align::Method;
+use crate::cli::simulate::Choice;
 use crate::dataset::write_atomically;
 use crate::eval::{ErrorStatistics, Evaluation};
-use crate::simulate::SceneKind;
 
 /// Everything about the sequences (`results.json`).
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -35,13 +35,15 @@ pub(super) struct Report {
 /// The options that decide about the numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Options {
-    pub(super) scene: SceneKind,
+    pub(super) scene: Choice,
     pub(super) frames: u32,
     pub(super) seed: u64,
     pub(super) light: bool,
     pub(super) modes: usize,
+    /// Of the clicks and annotations of the cell.
+    pub(super) click_noise_px: f64,
     pub(super) methods: Vec<Method>,
-    pub(super) backend: Choice,
+    pub(super) backend: BackendChoice,
 }
 
 /// One of the two sequences and the model it is tracked with.
@@ -60,7 +62,7 @@ pub(super) struct SequenceRecord {
     pub(super) truth: Vec<Coefficients>,
 }
 
-/// The six coefficients of the camera's motion in a frame: x y z in millimetres, rx ry rz in degrees.
+/// The six coefficients of the end-effector's motion in a frame: x y z in millimetres, rx ry rz in degrees.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Coefficients {
     pub(super) frame: u32,
@@ -76,7 +78,7 @@ pub(super) struct Run {
     pub(super) backend: String,
     /// The paper's method beside which it stands.
     pub(super) counterpart: Published,
-    /// Errors of the camera's motion since the first tracked frame, in the order x y z (mm), rx ry rz (degrees).
+    /// Errors of the end-effector's motion since the first tracked frame, in the order x y z (mm), rx ry rz (degrees).
     pub(super) motion_errors: [ErrorStatistics; 6],
     /// How many times the paper's average, and maximum, is larger at least; over the six.
     pub(super) below_published: Option<Below>,

@@ -61,11 +61,12 @@ impl Plan<'_> {
 
     /// Everything that follows from the estimates.
     fn judge(&self, estimates: &[Estimate]) -> Run {
-        let Case { scene, truth, object, record, .. } = self.case;
+        let Case { scene, truth, object, record, robot, .. } = self.case;
         let judged = frame_errors(estimates, truth, object, &scene.cameras());
         let lost_frames: Vec<u32> = judged.iter().filter(|f| f.lost).map(|f| f.frame).collect();
-        let coefficients = motion::of_estimates(estimates, &lost_frames);
-        let motion_errors = motion::errors(&coefficients, truth);
+        let first = scene.frames[0].id;
+        let coefficients = motion::of_estimates(estimates, &lost_frames, robot, first);
+        let motion_errors = motion::errors(estimates, &lost_frames, robot);
         let counterpart = counterpart(self.method);
         let below_published = published::errors(record.number, counterpart)
             .and_then(|published| Below::of(&published, &motion_errors));

@@ -5,7 +5,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::cases::TRAINING_IMAGES;
+use super::data::TRAINING_IMAGES;
 use super::methods::PerShape;
 use crate::geometry::{Camera, Pose};
 use crate::model::Model;

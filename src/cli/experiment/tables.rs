@@ -7,7 +7,7 @@ use crate::eval::ErrorStatistics;
 
 const AXES: [&str; 6] = ["x (mm)", "y (mm)", "z (mm)", "rx (°)", "ry (°)", "rz (°)"];
 
-/// Errors of the camera's motion since the first frame: the paper's rows, and below each ours.
+/// Errors of the end-effector's motion since the first frame: the paper's rows, and below each ours.
 pub(super) fn table1(report: &Report) -> Sheet {
     let mut sheet = Sheet::new(&[&["method", "", "lost"], AXES.as_slice()].concat(), 2);
     for sequence in &report.sequences {
@@ -107,7 +107,7 @@ pub(super) fn absent(report: &Report) -> String {
 }
 
 /// What Table 1 shows.
-pub(super) const TABLE1_NOTE: &str = "Error of the camera's motion since the first frame, per coefficient (eqs. 19 \
+pub(super) const TABLE1_NOTE: &str = "Error of the end-effector's motion since the first frame, per coefficient (eqs. 19 \
      and 20 of the paper), over the frames that were not lost. Rows marked \"as published\" are the paper's own, \
      measured on a real robot with another object: they are other data and stand here for comparison of form and \
      size only. All other rows were measured by this run on simulated images with exact poses.\n";
