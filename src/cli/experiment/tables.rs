@@ -114,5 +114,6 @@ pub(super) const TABLE1_NOTE: &str = "Error of the end-effector's motion since t
 
 /// What the second table shows.
 pub(super) const SUMMARY_NOTE: &str = "Error of the object's pose: position of its centre, rotation, and corners of \
-     its bounding box in the image. Lost: given up by the tracker, or off by more than 5 cm or 5°. The last two \
+     its bounding box in the image. The method edge does \
+     its work on the host, whatever the backend. Lost: given up by the tracker, or off by more than 5 cm or 5°. The last two \
      columns say how many times larger the published error is, at least, over the six coefficients.\n";
