@@ -16,9 +16,9 @@ const MIN_DETERMINANT: f64 = 0.02;
 /// How the corners of a triangle move with the pose.
 #[derive(Debug, Clone)]
 pub(super) struct CornerMotion {
-    /// Stack of D(X_a): pixels of the image per increment, 6x6.
+    /// Stack of `D(X_a)`: pixels of the image per increment, 6x6.
     image: Matrix6<f64>,
-    /// Stack of A^-1 D(X_a): pixels of the template per increment, 6x6; L_i in `docs/maths.md`.
+    /// Stack of `A^-1 D(X_a)`: pixels of the template per increment, 6x6; L_i in `docs/maths.md`.
     pub(super) template: Matrix6<f64>,
     /// Mean of D^T D.
     pub(super) metric: Matrix6<f64>,
@@ -55,7 +55,7 @@ pub(super) fn barycentric_gradient(sums: &[f64], g: &ChartGeometry) -> Vector6<f
     Vector6::new(along_u[0], along_v[0], along_u[1], along_v[1], along_u[2], along_v[2])
 }
 
-/// sum q f f^T from sums of h_a h_b (u^2, u v, u, v^2, v, 1).
+/// sum q f f^T from sums of `h_a h_b (u^2, u v, u, v^2, v, 1)`.
 fn barycentric_hessian(sums: &[f64], g: &ChartGeometry) -> Matrix6<f64> {
     let block = |s: &[f64]| {
         let second = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);

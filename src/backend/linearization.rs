@@ -58,12 +58,12 @@ impl Linearization {
 pub struct LinearRow<'a>(pub &'a [f64]);
 
 impl<'a> LinearRow<'a> {
-    /// sum q h_a h_b P: six numbers for each of uu, uv, vv.
+    /// sum `q h_a h_b P`: six numbers for each of uu, uv, vv.
     pub fn hessian(&self) -> &'a [f64] {
         &self.0[..18]
     }
 
-    /// sum q A (h_u u, h_u v, h_u, h_v u, h_v v, h_v) of an appearance column in the order of
+    /// sum `q A (h_u u, h_u v, h_u, h_v u, h_v v, h_v)` of an appearance column in the order of
     /// [`crate::model::moments`].
     pub fn cross(&self, column: usize) -> &'a [f64] {
         &self.0[18 + 6 * column..][..6]

@@ -67,7 +67,7 @@ struct Prepared {
 /// H and lambda with the sums there.
 #[derive(Debug, Clone)]
 struct Step {
-    /// H: camera_from_object = H camera_from_object(reference view).
+    /// H: `camera_from_object = H camera_from_object(reference view)`.
     motion: Pose,
     appearance: Vec<f64>,
     /// Mean r^2 over the pixels inside the image, q = 1.

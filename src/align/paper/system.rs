@@ -72,7 +72,7 @@ pub(super) struct System {
 }
 
 impl System {
-    /// JtQJ with the weights of the level; Sigma is the diagonal of JtJ, that of `unweighted`.
+    /// JtQJ with the weights of the level; Sigma is the diagonal of `JtJ`, that of `unweighted`.
     pub(super) fn new(reference: &Reference, level: &LevelTemplate, unweighted: Option<&Self>) -> Self {
         let n = 6 + reference.modes;
         let mut hessian = DMatrix::zeros(n, n);

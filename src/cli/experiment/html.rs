@@ -138,10 +138,10 @@ fn overlays(page: &mut String, out: &Path, run: &Run) -> anyhow::Result<()> {
         write!(page, "<img src=\"{uri}\" alt=\"Frame {frame} with the estimated outline\">")?;
     }
     let (name, folder) = (run.method.name(), run.overlays.first().and_then(|o| o.rsplit_once('/')));
-    write!(
+    writeln!(
         page,
         "</div><figcaption>Estimated outline and axes by <code>{name}</code>: green is tracked, red is lost. Pictures \
-         of the other methods are beside <code>{}</code>.</figcaption></figure>\n",
+         of the other methods are beside <code>{}</code>.</figcaption></figure>",
         escape(folder.map_or("overlays", |(f, _)| f))
     )?;
     Ok(())
@@ -175,7 +175,7 @@ fn basin_section(page: &mut String, out: &Path, basin: &Basin) -> anyhow::Result
 fn figure(page: &mut String, out: &Path, name: &str, caption: &str) -> anyhow::Result<()> {
     let path = out.join("figures").join(format!("{name}.svg"));
     if let Ok(svg) = std::fs::read_to_string(path) {
-        write!(page, "<figure>{svg}<figcaption>{}</figcaption></figure>\n", escape(caption))?;
+        writeln!(page, "<figure>{svg}<figcaption>{}</figcaption></figure>", escape(caption))?;
     }
     Ok(())
 }
@@ -193,12 +193,12 @@ fn origin(page: &mut String, report: &Report) -> anyhow::Result<()> {
             Some(format!("{}{software}", b.device.as_ref()?))
         })
         .collect();
-    write!(
+    writeln!(
         page,
         "<h2>How this was made</h2><p>aam6d {}, <code>aam6d experiment</code>: scene {scene}, {} frames per sequence, \
          seed {}, light {light}, {} appearance modes. Backends: {}. It took {:.0} s. Every number is in \
          <code>results.json</code>, every figure in <code>figures/</code>.</p>\
-         <p class=\"note\">Published numbers: {}.</p>\n",
+         <p class=\"note\">Published numbers: {}.</p>",
         escape(&report.version),
         o.frames,
         o.seed,

@@ -172,8 +172,7 @@ fn draw(panel: &Panel, width: f64) -> Group {
     for line in &panel.lines {
         let class = format!("line {}", line.look.class);
         for piece in &line.pieces {
-            let points: Vec<String> =
-                piece.iter().map(|p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            let points: Vec<String> = piece.iter().map(at).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
             group = group.add(Polyline::new().set("points", points.join(" ")).set("class", class.as_str()));
         }
         let Some(shape) = line.look.marker else { continue };

@@ -102,7 +102,7 @@ pub(super) fn number(value: Option<f64>) -> String {
         m if m >= 10.0 => 1,
         m if m >= 1.0 => 2,
         m if m >= 0.1 => 3,
-        m if m == 0.0 => 0,
+        0.0 => 0,
         _ => 4,
     };
     format!("{v:.digits$}")
