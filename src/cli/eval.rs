@@ -26,7 +26,7 @@ pub(super) struct Args {
     /// Details file of `aam6d track`, for the iterations
     #[arg(long, value_name = "FILE")]
     details: Option<PathBuf>,
-    /// Robot poses (scene_robot.json): also judge the motion of the end-effector against the robot
+    /// Robot poses, as in `scene_robot.json`: also judge the motion of the end-effector against the robot
     #[arg(long, value_name = "FILE", requires = "hand_eye")]
     robot: Option<PathBuf>,
     /// Hand-eye transform (hand_eye.json), for --robot

@@ -16,7 +16,9 @@ pub(super) fn centroid(points: &[Point3<f64>]) -> Point3<f64> {
 pub(super) fn nearest_rotation(m: &Matrix3<f64>) -> Option<Rotation3<f64>> {
     let svd = m.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
-    if !(svd.singular_values[1] > 1e-9 * svd.singular_values[0]) {
+    // Written so that NaN is not determined.
+    let determined = svd.singular_values[1] > 1e-9 * svd.singular_values[0];
+    if !determined {
         return None;
     }
     let sign = (u * v_t).determinant().signum();

@@ -1,5 +1,6 @@
 //! Grey images: reading and writing, sampling, pyramids, rectification.
 
+pub mod corners;
 pub mod gray;
 pub mod pyramid;
 pub mod rectify;
