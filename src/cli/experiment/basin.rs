@@ -7,7 +7,7 @@ use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use svg::Document;
 
-use super::methods::Engine;
+use super::methods::{Engine, PATIENT_STEPS, has_pyramid, patient};
 use super::plot::{Axis, Line, Panel, figure};
 use super::record::{write_json, write_text};
 use super::sheet::{Kind, Sheet, number};
@@ -80,20 +80,19 @@ pub(super) fn run(options: &Options<'_>) -> anyhow::Result<Basin> {
         converged_px: CONVERGED_PX,
         cells: Vec::new(),
     };
-    let variants: Vec<(Method, bool)> =
-        options.methods.iter().flat_map(|&m| [true, false].map(|pyramid| (m, pyramid))).collect();
+    let variants: Vec<(Method, bool)> = options
+        .methods
+        .iter()
+        .flat_map(|&m| [true, false].map(|pyramid| (m, pyramid)))
+        .filter(|&(m, pyramid)| !pyramid || has_pyramid(m))
+        .collect();
     let all_views = views.iter().map(|(_, v)| v.len()).sum::<usize>();
     let bar = progress::frames(variants.len() * all_views * DISTANCES_PX.len(), "basin");
     for &(method, pyramid) in &variants {
-        let model = scene.models.of(method);
-        let full = model.levels.len();
-        // A method that works at full size only has no pyramid to take away.
-        if pyramid && method.aligner().levels(model) < full {
-            bar.inc((all_views * DISTANCES_PX.len()) as u64);
-            continue;
+        let mut model = scene.models.of(method).clone();
+        if !pyramid {
+            model.levels.truncate(1);
         }
-        let mut model = model.clone();
-        model.levels.truncate(if pyramid { full } else { 1 });
         bar.set_message(format!("basin: {}{}", method.name(), if pyramid { "" } else { ", full size only" }));
         basin.cells.extend(study(options, &scene, &views, (method, pyramid), model, &bar)?);
         basin.complete = variants.last() == Some(&(method, pyramid));
@@ -115,7 +114,7 @@ fn study(
 ) -> anyhow::Result<Vec<Cell>> {
     let modes = model.modes();
     let backend = options.engine.open(options.adapter)?;
-    let mut tracker = Tracker::new(model, scene.camera, backend, method.aligner())?;
+    let mut tracker = Tracker::new(model, scene.camera, backend, patient(method))?;
     let mut cells = Vec::new();
     for (tilt, views) in views {
         for distance in DISTANCES_PX {
@@ -210,7 +209,8 @@ pub(super) fn note(basin: &Basin) -> String {
     format!(
         "Share of {trials} random starts that end within {} px of the truth, by the distance of the start (rms \
          displacement of the landmarks) and the tilt of the object against the frontal view; in brackets the mean number \
-         of iterations of those that converged. The same seeded starts for every method; backend {}.",
+         of iterations of those that converged, of at most {PATIENT_STEPS} per \
+         level. The same seeded starts for every method; backend {}.",
         basin.converged_px, basin.backend
     )
 }

@@ -4,7 +4,10 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use super::published::Published;
-use crate::align::Method;
+use crate::align::{
+    Aligner, Edge, EdgeOptions, ForwardAdditive, ForwardOptions, InverseCompositional, Method, Options,
+    Paper, PaperOptions,
+};
 use crate::backend::{Backend, CpuBackend};
 use crate::train::TrainOptions;
 
@@ -15,6 +18,29 @@ pub(super) fn counterpart(method: Method) -> Published {
         Method::ForwardAdditive => Published::Previous,
         Method::Edge => Published::Geometric,
     }
+}
+
+/// Steps per level or phase at most in the basin study: enough that the basin decides and not the limit.
+pub(super) const PATIENT_STEPS: usize = 50;
+
+/// The method with its default choices but for a limit of steps that is out of the way.
+pub(super) fn patient(method: Method) -> Box<dyn Aligner> {
+    let max_iterations = PATIENT_STEPS;
+    match method {
+        Method::InverseCompositional => {
+            Box::new(InverseCompositional::new(Options { max_iterations, ..Options::default() }))
+        }
+        Method::Paper => Box::new(Paper::new(PaperOptions { max_iterations, ..PaperOptions::default() })),
+        Method::ForwardAdditive => {
+            Box::new(ForwardAdditive::new(ForwardOptions { max_iterations, ..ForwardOptions::default() }))
+        }
+        Method::Edge => Box::new(Edge::new(EdgeOptions { max_iterations, ..EdgeOptions::default() })),
+    }
+}
+
+/// True if the method goes from coarse to fine.
+pub(super) fn has_pyramid(method: Method) -> bool {
+    method != Method::Paper
 }
 
 /// A value for methods that take the triangles between landmarks as they are, and one for the others.
