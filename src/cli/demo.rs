@@ -143,8 +143,13 @@ fn run_direction(
     let results = args.out.join(format!("scene-{tracked}.csv"));
     let details = results.with_extension("jsonl");
     let overlay = args.out.join(format!("overlay-{tracked}"));
-    let outputs =
-        Outputs { results: &results, details: Some(&details), overlay: Some(&overlay), overlay_every: 10 };
+    let outputs = Outputs {
+        results: &results,
+        details: Some(&details),
+        overlay: Some(&overlay),
+        overlay_every: 10,
+        what: "tracking",
+    };
     let estimates = track_scene(&mut tracker, &scene, &outputs)?;
     let evaluation = evaluate(&estimates, &poses, &EvalObject::new(&mesh)?, &scene.cameras())?;
     let name =

@@ -6,6 +6,7 @@ mod bench;
 mod demo;
 mod details;
 mod eval;
+mod experiment;
 mod frames;
 mod hand_eye;
 mod info;
@@ -48,6 +49,8 @@ enum Command {
     Align(align::Args),
     /// Judge poses against a reference
     Eval(eval::Args),
+    /// Compare the methods as the paper does: Table 1, figures, one page
+    Experiment(experiment::Args),
     /// Calibrate where the camera sits on the robot's end-effector
     HandEye(hand_eye::Args),
     /// Measure time and memory of every backend on the standard workload
@@ -86,6 +89,7 @@ fn execute(command: Command) -> anyhow::Result<()> {
         Command::Track(args) => track::run(&args),
         Command::Align(args) => align::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::HandEye(args) => hand_eye::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Info(args) => info::run(&args),

@@ -2,15 +2,16 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::progress;
 use super::summary::JsonArg;
 use crate::simulate::{CellOptions, SceneKind, SequenceOptions, write_cell, write_dataset};
 
 /// What can be simulated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Choice {
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Choice {
     /// A relief of 76 landmarks that tilts and rolls
     Relief,
     /// A box that turns about its vertical axis

@@ -55,6 +55,8 @@ pub(super) struct Outputs<'a> {
     pub(super) overlay: Option<&'a Path>,
     /// Every how many frames a picture is written.
     pub(super) overlay_every: usize,
+    /// Shown beside the progress bar.
+    pub(super) what: &'a str,
 }
 
 #[derive(Debug, Serialize)]
@@ -89,6 +91,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         details: args.details.as_deref(),
         overlay: args.overlay.as_deref(),
         overlay_every: 1,
+        what: "tracking",
     };
     let estimates = track_scene(&mut tracker, &scene, &outputs)?;
     if let Some(path) = &args.tum {
@@ -120,7 +123,7 @@ pub(super) fn track_scene(
 ) -> anyhow::Result<Vec<Estimate>> {
     let mut results = ResultsFile::create(outputs.results)?;
     let mut details = outputs.details.map(DetailsFile::create).transpose()?;
-    let bar = progress::frames(scene.frames.len(), "tracking");
+    let bar = progress::frames(scene.frames.len(), outputs.what);
     let mut estimates = Vec::with_capacity(scene.frames.len());
     let object = tracker.model().object_id;
     for (k, frame) in scene.frames.iter().enumerate() {
