@@ -10,6 +10,10 @@ use crate::backend::Backend;
 use crate::error::Result;
 use crate::model::Model;
 
+/// Triangle weights act from this level down: on coarser ones they cost reach and spare nothing that finer levels
+/// would not.
+const COARSEST_ROBUST: usize = 1;
+
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
@@ -58,7 +62,7 @@ impl InverseCompositional {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
-            redescent: robust.then_some(Redescent::DEFAULT),
+            redescent: (robust && level <= COARSEST_ROBUST).then_some(Redescent::DEFAULT),
         }
     }
 
