@@ -18,6 +18,10 @@ use prediction::Motion;
 /// 0.76 where right ones have more than 0.9.
 const RECOVERED_CORRELATION: f64 = 0.8;
 
+/// A pose below [`RECOVERED_CORRELATION`] is checked by a search if the correlation fell by this since the last frame:
+/// it may be a local minimum.
+const FALLEN_CORRELATION: f64 = 0.1;
+
 /// What is known about the object in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -51,6 +55,8 @@ pub struct Tracker {
     appearance: Vec<f64>,
     /// True after a frame that was lost: coming back needs more evidence than going on.
     lost: bool,
+    /// Median correlation in the last believed frame.
+    correlation: f64,
 }
 
 impl std::fmt::Debug for Tracker {
@@ -79,14 +85,25 @@ impl Tracker {
         aligner.prepare(backend.as_mut(), &model, id)?;
         let appearance = vec![0.0; model.modes()];
         let rectifier = Rectifier::new(&camera);
-        Ok(Self { backend, aligner, model, id, camera, rectifier, motion: None, appearance, lost: false })
+        Ok(Self {
+            backend,
+            aligner,
+            model,
+            id,
+            camera,
+            rectifier,
+            motion: None,
+            appearance,
+            lost: false,
+            correlation: 1.0,
+        })
     }
 
     /// Sets where to look in the next frame.
     pub fn start_at(&mut self, camera_from_object: Pose) {
         self.motion = Some(Motion::at_rest(camera_from_object));
         self.appearance.fill(0.0);
-        self.lost = false;
+        (self.lost, self.correlation) = (false, 1.0);
     }
 
     /// Changes the camera of the following frames (zoom, another calibration per frame).
@@ -132,6 +149,7 @@ impl Tracker {
             Status::Tracking => {
                 self.motion = Some(motion.advance(estimate.camera_from_object));
                 self.appearance.clone_from(&estimate.appearance);
+                self.correlation = estimate.score.correlation;
             }
             Status::Lost => {
                 self.motion = Some(motion.stop());
@@ -142,7 +160,7 @@ impl Tracker {
     }
 
     /// Aligns every start with one frame, each on its own, and leaves the track as it is. Around starts from which
-    /// the object is not found it is searched for.
+    /// the object is not found, or found with much less correlation than before, it is searched for.
     ///
     /// # Errors
     /// As [`Self::track`].
@@ -154,12 +172,14 @@ impl Tracker {
         let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
         let mut estimates = self.aligner.align(self.backend.as_mut(), &target, starts)?;
         for (estimate, start) in estimates.iter_mut().zip(starts) {
-            if believed(estimate, self.lost) {
+            let fell =
+                estimate.score.correlation < RECOVERED_CORRELATION.min(self.correlation - FALLEN_CORRELATION);
+            if believed(estimate, self.lost) && !fell {
                 continue;
             }
             if let Some(found) = self.aligner.search(self.backend.as_mut(), &target, start)? {
                 let iterations = estimate.iterations + found.iterations;
-                if believed(&found, true) {
+                if believed(&found, true) && found.score.correlation > estimate.score.correlation {
                     *estimate = found;
                 }
                 estimate.iterations = iterations;
