@@ -9,8 +9,10 @@ use super::details::{self, Details};
 use super::frames::{SceneArgs, annotated_images, training_images};
 use super::summary::JsonArg;
 use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
+use crate::geometry::pnp::PnpSolution;
 use crate::model::Model;
 use crate::track::Status;
+use crate::track::realign::train_realigned;
 use crate::train::annotated::{self, AnnotationOptions, Refinement};
 use crate::train::{TrainOptions, extend, train};
 
@@ -20,6 +22,8 @@ const CERTAIN_MM: f64 = 0.5;
 const CERTAIN_DEG: f64 = 0.2;
 /// And with at least this median correlation.
 const CERTAIN_CORRELATION: f64 = 0.8;
+/// How often annotated images are aligned with the model of all of them; the third time changes little.
+const REALIGNMENTS: usize = 2;
 /// More frames than this add memory, not knowledge.
 const MAX_EXTENSION_FRAMES: usize = 40;
 
@@ -39,8 +43,8 @@ pub(super) struct Args {
     /// Refuse annotations further than this from where their landmark should be
     #[arg(long, value_name = "PX", default_value_t = AnnotationOptions::default().max_distance_px)]
     max_annotation_error: f64,
-    /// Leave the landmarks where --landmarks has them; else they are refined with the poses, as far as their covariance
-    /// lets them
+    /// Take landmarks and poses as they come; else both are refined together, as far as the landmarks' covariance lets
+    /// them, and then the poses by aligning the images with the model
     #[arg(long, requires = "annotations")]
     no_refine: bool,
     /// Add views to this model instead of training a new one, from frames tracked with it: --poses is the results file,
@@ -112,6 +116,8 @@ type Fit = (Vec<Annotated>, Option<Refined>);
 struct Annotated {
     frame: u32,
     rms_px: f64,
+    /// How far the vertices moved when the image was aligned with the model of all.
+    moved_px: f64,
 }
 
 impl Summary {
@@ -181,10 +187,15 @@ impl Args {
         };
         let posed =
             annotated::pose(&shape, images, &options).with_context(|| annotations.display().to_string())?;
-        let fits = frames.iter().zip(&posed.fits);
-        let fits = fits.map(|(&frame, fit)| Annotated { frame, rms_px: fit.rms_px }).collect();
-        let model = train(&posed.mesh, &posed.images, &self.options())?;
-        Ok((model, (fits, posed.refinement.map(Refined::from))))
+        let passes = if self.no_refine { 0 } else { REALIGNMENTS };
+        let trained = train_realigned(&posed.mesh, posed.images, &self.options(), passes)?;
+        let fit = |((&frame, fit), &moved_px): ((&u32, &PnpSolution), &f64)| Annotated {
+            frame,
+            rms_px: fit.rms_px,
+            moved_px,
+        };
+        let annotations = frames.iter().zip(&posed.fits).zip(&trained.moved_px).map(fit).collect();
+        Ok((trained.model, (annotations, posed.refinement.map(Refined::from))))
     }
 }
 
@@ -243,8 +254,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     );
     if !s.annotations.is_empty() {
         let fits: Vec<String> =
-            s.annotations.iter().map(|a| format!("{} {:.2}", a.frame, a.rms_px)).collect();
-        text += &format!("\nannotations, frame and rms px: {}", fits.join(", "));
+            s.annotations.iter().map(|a| format!("{} {:.2} {:.2}", a.frame, a.rms_px, a.moved_px)).collect();
+        text += &format!("\nannotations, frame, rms px, moved by px: {}", fits.join(", "));
     }
     if let Some(r) = &s.refinement {
         text += &format!(
