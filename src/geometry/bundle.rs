@@ -7,10 +7,11 @@
 //! ```
 //!
 //! with pixels `u_ik`, their standard deviation `sigma` (pixels) and the prior `X0_k`, `C_k` (metres, square metres).
-//! The unknowns of a point are `w` in `X = X0 + L w`, `L L^T = C`: its prior is then `|w|^2`, and a point that is known
-//! exactly (`C = 0`) stays. The poses are free; position, orientation and scale of the object frame are those that the
-//! prior likes best. Levenberg-Marquardt; the points are eliminated (Schur complement), so the system has 6 unknowns
-//! per image.
+//! The unknowns of a point are `w` in `X = X0 + L w`, `L L^T = C`: its prior is `|w|^2`, and an exact point (`C = 0`)
+//! stays. The poses are free; the object frame is where the prior likes it best. Levenberg-Marquardt; the points are
+//! eliminated (Schur complement), so the system has 6 unknowns per image.
+
+use std::ops::SubAssign;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Point2, Point3, SMatrix, Vector3, Vector6};
 
@@ -24,7 +25,7 @@ const FIRST_DAMPING: f64 = 1e-3;
 const LARGEST_DAMPING: f64 = 1e10;
 /// A step that lowers the cost by a smaller share than this is the last.
 const CONVERGED: f64 = 1e-12;
-/// Reduced normal equations, scaled to a unit diagonal, with a smaller eigenvalue leave a pose open.
+/// Scaled reduced normal equations with a smaller eigenvalue leave a pose open.
 const DEGENERATE: f64 = 1e-10;
 
 /// A point as it is known before the images are looked at.
@@ -124,18 +125,16 @@ impl<'a> Problem<'a> {
             return Err(refused(problem, "give at least 4 points and one image"));
         }
         if !(sigma_px.is_finite() && sigma_px > 0.0) {
-            let problem = format!("a standard deviation of {sigma_px} px");
-            return Err(refused(problem, "give the noise of an annotation, above 0"));
+            return Err(refused(format!("a noise of {sigma_px} px"), "give a standard deviation above 0"));
         }
         for (i, sighting) in sightings.iter().enumerate() {
-            if sighting.pixels.len() != points.len() {
-                let problem = format!("image {i}: {} points, {} pixels", points.len(), sighting.pixels.len());
-                return Err(refused(problem, "give one pixel per point"));
-            }
-            let finite = sighting.pixels.iter().all(|p| p.iter().all(|v| v.is_finite()));
-            if !finite || !sighting.camera_from_object.is_finite() {
-                let problem = format!("image {i}: a pixel or the pose is not finite");
-                return Err(refused(problem, "give finite numbers"));
+            let mut finite = sighting.pixels.iter().all(|p| p.iter().all(|v| v.is_finite()));
+            finite &= sighting.camera_from_object.is_finite();
+            let count = sighting.pixels.len();
+            if count != points.len() || !finite {
+                let problem = if finite { "the counts differ" } else { "a pixel or the pose is not finite" };
+                let problem = format!("image {i}: {} points, {count} pixels: {problem}", points.len());
+                return Err(refused(problem, "give a finite pose and one finite pixel per point"));
             }
         }
         let roots: Option<Vec<Matrix3<f64>>> = points.iter().map(|p| root(&p.covariance)).collect();
@@ -172,7 +171,7 @@ impl<'a> Problem<'a> {
             pose_gradient: vec![Vector6::zeros(); images],
             point: vec![Matrix3::identity(); points],
             point_gradient: state.w.clone(),
-            mixed: vec![Matrix6x3::zeros(); images * points],
+            mixed: vec![vec![Matrix6x3::zeros(); points]; images],
         };
         for k in 0..points {
             let x = self.point(state, k);
@@ -191,7 +190,7 @@ impl<'a> Problem<'a> {
                 e.pose_gradient[i] += by_pose.tr_mul(&residual);
                 e.point[k] += by_w.tr_mul(&by_w);
                 e.point_gradient[k] += by_w.tr_mul(&residual);
-                e.mixed[i * points + k] = by_pose.tr_mul(&by_w);
+                e.mixed[i][k] = by_pose.tr_mul(&by_w);
             }
         }
         e
@@ -199,8 +198,7 @@ impl<'a> Problem<'a> {
 
     fn moved(&self, state: &State, step: &Step) -> State {
         let pose = |(pose, d): (&Pose, &Vector6<f64>)| {
-            let (t, r) = (d.fixed_rows::<3>(0).into_owned(), d.fixed_rows::<3>(3).into_owned());
-            pose.compose(&Pose::about(r, t, &self.centre))
+            pose.compose(&Pose::about(d.fixed_rows::<3>(3).into(), d.fixed_rows::<3>(0).into(), &self.centre))
         };
         State {
             w: state.w.iter().zip(&step.w).map(|(w, d)| w + d).collect(),
@@ -212,12 +210,9 @@ impl<'a> Problem<'a> {
         let Some(left) = self.linearise(&state).covariances() else {
             return Err(refused("the points leave a pose open", "give points that are not on one line"));
         };
-        let point = |(k, left): (usize, Matrix3<f64>)| Prior {
-            position: self.point(&state, k),
-            covariance: self.roots[k] * left * self.roots[k].transpose(),
-        };
-        let points = left.into_iter().enumerate().map(point).collect();
-        Ok(Bundle { points, poses: state.poses })
+        let covariance = |k: usize| self.roots[k] * left[k] * self.roots[k].transpose();
+        let point = |k| Prior { position: self.point(&state, k), covariance: covariance(k) };
+        Ok(Bundle { points: (0..left.len()).map(point).collect(), poses: state.poses })
     }
 }
 
@@ -234,35 +229,28 @@ fn root(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     valid.then(|| eigen.eigenvectors * Matrix3::from_diagonal(&roots))
 }
 
-/// Normal equations in blocks: poses, points, and between them (`mixed[i * points + k]`).
+/// Normal equations in blocks: poses, points, and between them (`mixed[i][k]`).
 struct Equations {
     pose: Vec<Matrix6<f64>>,
     pose_gradient: Vec<Vector6<f64>>,
     point: Vec<Matrix3<f64>>,
     point_gradient: Vec<Vector3<f64>>,
-    mixed: Vec<Matrix6x3<f64>>,
+    mixed: Vec<Vec<Matrix6x3<f64>>>,
 }
 
 impl Equations {
-    fn mixed(&self, i: usize, k: usize) -> &Matrix6x3<f64> {
-        &self.mixed[i * self.point.len() + k]
-    }
-
     /// `S = U - W V^-1 W^T` and `a - W V^-1 b`, `inverses` being `V^-1`.
     fn reduced(&self, pose: &[Matrix6<f64>], inverses: &[Matrix3<f64>]) -> (DMatrix<f64>, DVector<f64>) {
-        let images = pose.len();
-        let mut s = DMatrix::zeros(6 * images, 6 * images);
-        let mut g = DVector::zeros(6 * images);
-        for i in 0..images {
-            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(&pose[i]);
+        let size = 6 * pose.len();
+        let (mut s, mut g) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        for (i, pose) in pose.iter().enumerate() {
+            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(pose);
             g.fixed_rows_mut::<6>(6 * i).copy_from(&self.pose_gradient[i]);
             for (k, inverse) in inverses.iter().enumerate() {
-                let left = self.mixed(i, k) * inverse;
-                let mut part = g.fixed_rows_mut::<6>(6 * i);
-                part -= left * self.point_gradient[k];
-                for j in 0..images {
-                    let mut part = s.fixed_view_mut::<6, 6>(6 * i, 6 * j);
-                    part -= left * self.mixed(j, k).transpose();
+                let left = self.mixed[i][k] * inverse;
+                g.fixed_rows_mut::<6>(6 * i).sub_assign(left * self.point_gradient[k]);
+                for j in 0..self.pose.len() {
+                    s.fixed_view_mut::<6, 6>(6 * i, 6 * j).sub_assign(left * self.mixed[j][k].transpose());
                 }
             }
         }
@@ -279,7 +267,7 @@ impl Equations {
         let d = -s.cholesky()?.solve(&g);
         let poses: Vec<Vector6<f64>> = (0..poses.len()).map(|i| d.fixed_rows::<6>(6 * i).into()).collect();
         let point = |(k, inverse): (usize, &Matrix3<f64>)| {
-            let pull = |sum: Vector3<f64>, (i, d): (usize, &Vector6<f64>)| sum + self.mixed(i, k).tr_mul(d);
+            let pull = |sum: Vector3<f64>, (i, d): (usize, &Vector6<f64>)| sum + self.mixed[i][k].tr_mul(d);
             -inverse * poses.iter().enumerate().fold(self.point_gradient[k], pull)
         };
         Some(Step { w: inverses.iter().enumerate().map(point).collect(), poses })
@@ -298,7 +286,7 @@ impl Equations {
         let left = |(k, inverse): (usize, &Matrix3<f64>)| {
             let mut w = DMatrix::zeros(6 * self.pose.len(), 3);
             for i in 0..self.pose.len() {
-                w.fixed_rows_mut::<6>(6 * i).copy_from(self.mixed(i, k));
+                w.fixed_rows_mut::<6>(6 * i).copy_from(&self.mixed[i][k]);
             }
             let spread = w.tr_mul(&factor.solve(&w));
             inverse + inverse * spread.fixed_view::<3, 3>(0, 0) * inverse
