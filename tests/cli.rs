@@ -149,8 +149,17 @@ fn track_align_and_eval_work_together() {
         path("overlay"),
         path("poses.tum")
     ));
-    let members =
-        ["frames", "tracked", "lost", "lost_frames", "ms_per_frame", "iterations_mean", "backend", "results"];
+    let members = [
+        "frames",
+        "tracked",
+        "lost",
+        "lost_frames",
+        "ms_per_frame",
+        "iterations_mean",
+        "method",
+        "backend",
+        "results",
+    ];
     check_members("track", &t, &members);
     assert_eq!((t["tracked"].as_u64(), t["backend"].as_str()), (Some(FRAMES as u64), Some("cpu")), "{t}");
     check_details(&out.join("details.jsonl"));
@@ -167,7 +176,11 @@ fn track_align_and_eval_work_together() {
     fs::write(out.join("starts.csv"), starts.join("\n")).expect("written");
     let align = format!("align {model} {data} --scene 1 --backend cpu --starts {}", path("starts.csv"));
     let a = json(&format!("{align} --out {}", path("aligned.csv")));
-    check_members("align", &a, &["starts", "aligned", "lost", "iterations_mean", "backend", "results"]);
+    check_members(
+        "align",
+        &a,
+        &["starts", "aligned", "lost", "iterations_mean", "method", "backend", "results"],
+    );
     let aligned = fs::read_to_string(out.join("aligned.csv")).expect("results");
     let frame = |line: &str| line.split(',').nth(1).map(str::to_owned);
     let found: Vec<_> = aligned.lines().skip(1).map(frame).collect();
