@@ -188,7 +188,7 @@ fn track_align_and_eval_work_together() {
 
     let eval = |results: &str, more: &str| json(&format!("eval {} {data} --scene 1 {more}", path(results)));
     let e = eval("new/results.csv", &format!("--details {}", path("details.jsonl")));
-    check_members("eval", &e, &EVALUATION);
+    check_members("eval", &e, &[&EVALUATION[..], &["normalised_error_squared"]].concat());
     check_evaluation("eval", &e);
     assert_eq!(e["iterations_mean"], t["iterations_mean"], "from the details");
     assert_eq!(eval("aligned.csv", "")["frames"].as_u64(), Some(2 * FRAMES as u64), "every start is judged");

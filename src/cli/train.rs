@@ -9,9 +9,12 @@ use super::details::{self, Details};
 use super::frames::{SceneArgs, annotated_images, training_images};
 use super::summary::JsonArg;
 use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
+use crate::geometry::pnp::PnpSolution;
 use crate::model::Model;
 use crate::track::Status;
-use crate::train::{TrainOptions, annotated, extend, train};
+use crate::track::realign::train_realigned;
+use crate::train::annotated::{self, AnnotationOptions, Refinement};
+use crate::train::{TrainOptions, extend, train};
 
 /// A model is extended from poses at least this certain: standard deviation per axis in the camera frame.
 const CERTAIN_MM: f64 = 0.5;
@@ -19,6 +22,8 @@ const CERTAIN_MM: f64 = 0.5;
 const CERTAIN_DEG: f64 = 0.2;
 /// And with at least this median correlation.
 const CERTAIN_CORRELATION: f64 = 0.8;
+/// How often annotated images are aligned with the model of all of them; the third time changes little.
+const REALIGNMENTS: usize = 2;
 /// More frames than this add memory, not knowledge.
 const MAX_EXTENSION_FRAMES: usize = 40;
 
@@ -36,8 +41,12 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE", requires = "annotations")]
     landmarks: Option<PathBuf>,
     /// Refuse annotations further than this from where their landmark should be
-    #[arg(long, value_name = "PX", default_value_t = 10.0)]
+    #[arg(long, value_name = "PX", default_value_t = AnnotationOptions::default().max_distance_px)]
     max_annotation_error: f64,
+    /// Take landmarks and poses as they come; else both are refined together, as far as the landmarks' covariance lets
+    /// them, and then the poses by aligning the images with the model
+    #[arg(long, requires = "annotations")]
+    no_refine: bool,
     /// Add views to this model instead of training a new one, from frames tracked with it: --poses is the results file,
     /// --details says which of its poses are certain
     #[arg(long, value_name = "MODEL", requires = "details", conflicts_with_all = ["annotations", "modes"])]
@@ -77,17 +86,42 @@ struct Summary {
     /// Fit of the landmarks per annotated frame, pixels.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     annotations: Vec<Annotated>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    refinement: Option<Refined>,
 }
+
+/// What the annotations changed in the landmarks, rms over landmarks and axes.
+#[derive(Debug, Serialize)]
+struct Refined {
+    moved_mm: f64,
+    sigma_before_mm: f64,
+    sigma_after_mm: f64,
+}
+
+impl From<Refinement> for Refined {
+    fn from(r: Refinement) -> Self {
+        Self {
+            moved_mm: r.moved * 1000.0,
+            sigma_before_mm: r.sigma_before * 1000.0,
+            sigma_after_mm: r.sigma_after * 1000.0,
+        }
+    }
+}
+
+/// What annotated training tells beside the model.
+type Fit = (Vec<Annotated>, Option<Refined>);
 
 /// How well the landmarks of a frame fit.
 #[derive(Debug, Serialize)]
 struct Annotated {
     frame: u32,
     rms_px: f64,
+    /// How far the vertices moved when the image was aligned with the model of all.
+    moved_px: f64,
 }
 
 impl Summary {
-    fn new(path: &Path, model: &Model, annotations: Vec<Annotated>) -> Self {
+    fn new(path: &Path, model: &Model, (annotations, refinement): Fit) -> Self {
         let charts = || model.levels[0].charts.iter().filter(|c| !c.is_empty());
         let views: std::collections::BTreeSet<u32> = charts().map(|c| c.view).collect();
         Self {
@@ -99,6 +133,7 @@ impl Summary {
             template_px: model.levels.iter().map(|l| l.pixels.len()).collect(),
             modes: model.modes(),
             annotations,
+            refinement,
         }
     }
 }
@@ -135,7 +170,7 @@ impl Args {
         scene: &Scene,
         annotations: &Path,
         shape: &Path,
-    ) -> anyhow::Result<(Model, Vec<Annotated>)> {
+    ) -> anyhow::Result<(Model, Fit)> {
         let annotations_file = landmarks::read_annotations(annotations)?;
         let shape = annotations_file.shape(&landmarks::read_landmarks(shape)?)?;
         let mut frames = self.chosen_frames();
@@ -144,11 +179,23 @@ impl Args {
         }
         let images = annotated_images(scene, &annotations_file, &frames)
             .with_context(|| annotations.display().to_string())?;
-        let posed = annotated::pose(&shape, images, self.max_annotation_error)
-            .with_context(|| annotations.display().to_string())?;
-        let fits = frames.iter().zip(&posed.fits);
-        let fits = fits.map(|(&frame, fit)| Annotated { frame, rms_px: fit.rms_px }).collect();
-        Ok((train(&posed.mesh, &posed.images, &self.options())?, fits))
+        let default = AnnotationOptions::default();
+        let options = AnnotationOptions {
+            max_distance_px: self.max_annotation_error,
+            sigma_px: annotations_file.sigma_px.unwrap_or(default.sigma_px),
+            refine: !self.no_refine,
+        };
+        let posed =
+            annotated::pose(&shape, images, &options).with_context(|| annotations.display().to_string())?;
+        let passes = if self.no_refine { 0 } else { REALIGNMENTS };
+        let trained = train_realigned(&posed.mesh, posed.images, &self.options(), passes)?;
+        let fit = |((&frame, fit), &moved_px): ((&u32, &PnpSolution), &f64)| Annotated {
+            frame,
+            rms_px: fit.rms_px,
+            moved_px,
+        };
+        let annotations = frames.iter().zip(&posed.fits).zip(&trained.moved_px).map(fit).collect();
+        Ok((trained.model, (annotations, posed.refinement.map(Refined::from))))
     }
 }
 
@@ -185,12 +232,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let (dataset, scene) = args.scene.open()?;
     let (model, annotated) = match args.annotations.as_deref().zip(args.landmarks.as_deref()) {
         Some((annotations, shape)) => args.train_annotated(&scene, annotations, shape)?,
-        None if args.extend.is_some() => (args.extend_model(&dataset, &scene)?, Vec::new()),
+        None if args.extend.is_some() => (args.extend_model(&dataset, &scene)?, Fit::default()),
         None => {
             let poses = dataset.poses(scene.id, args.object, &args.poses)?;
             let mesh = dataset.mesh(args.object)?;
             let images = training_images(&scene, &poses, &args.poses, &args.chosen_frames())?;
-            (train(&mesh, &images, &args.options())?, Vec::new())
+            (train(&mesh, &images, &args.options())?, Fit::default())
         }
     };
     model.save(&args.out)?;
@@ -207,8 +254,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     );
     if !s.annotations.is_empty() {
         let fits: Vec<String> =
-            s.annotations.iter().map(|a| format!("{} {:.2}", a.frame, a.rms_px)).collect();
-        text += &format!("\nannotations, frame and rms px: {}", fits.join(", "));
+            s.annotations.iter().map(|a| format!("{} {:.2} {:.2}", a.frame, a.rms_px, a.moved_px)).collect();
+        text += &format!("\nannotations, frame, rms px, moved by px: {}", fits.join(", "));
+    }
+    if let Some(r) = &s.refinement {
+        text += &format!(
+            "\nlandmarks moved by {:.3} mm rms per axis; standard deviation {:.3} mm before, {:.3} mm after",
+            r.moved_mm, r.sigma_before_mm, r.sigma_after_mm
+        );
     }
     args.json.write(&text, &s)
 }

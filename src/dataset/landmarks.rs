@@ -26,6 +26,8 @@ pub struct Landmark {
 pub struct Annotations {
     /// Names, in the order of the pixels.
     pub names: Vec<String>,
+    /// Standard deviation of an annotation per coordinate, pixels, if it is known.
+    pub sigma_px: Option<f64>,
     /// Per frame id one pixel per landmark, in the image as taken.
     pub frames: BTreeMap<u32, Vec<Point2<f64>>>,
 }
@@ -35,7 +37,7 @@ impl Annotations {
     ///
     /// # Errors
     /// [`Error::Invalid`] naming the annotated landmarks that have no position, and those that are not annotated.
-    pub fn shape(&self, landmarks: &[Landmark]) -> Result<Vec<Point3<f64>>> {
+    pub fn shape(&self, landmarks: &[Landmark]) -> Result<Vec<Landmark>> {
         let known: BTreeMap<&str, &Landmark> = landmarks.iter().map(|l| (l.name.as_str(), l)).collect();
         let annotated: BTreeSet<&str> = self.names.iter().map(String::as_str).collect();
         let unknown = annotated.iter().filter(|n| !known.contains_key(*n)).copied();
@@ -45,7 +47,7 @@ impl Annotations {
             let problem = format!("{} are not in both files", odd.join(", "));
             return Err(Error::invalid("landmarks", problem, "annotate exactly the landmarks of the shape"));
         }
-        Ok(self.names.iter().map(|n| known[n.as_str()].position).collect())
+        Ok(self.names.iter().map(|n| known[n.as_str()].clone()).collect())
     }
 }
 
@@ -104,6 +106,11 @@ pub fn read_annotations(path: &Path) -> Result<Annotations> {
     let names = root.member("landmarks")?.items()?;
     let names: Result<Vec<String>> = names.iter().map(|n| name(n, &mut seen)).collect();
     let names = names?;
+    let sigma_px = root.optional("sigma_px").map(|n| n.number()).transpose()?;
+    if let Some(sigma) = sigma_px.filter(|s| *s <= 0.0) {
+        let problem = format!("{sigma} is not positive");
+        return Err(Error::field(path, "sigma_px", problem, "give the noise of an annotation, pixels"));
+    }
     let mut frames = BTreeMap::new();
     for (id, node) in root.member("frames")?.by_id()? {
         let items = node.items()?;
@@ -121,7 +128,7 @@ pub fn read_annotations(path: &Path) -> Result<Annotations> {
         let problem = format!("{} landmarks in {} frames", names.len(), frames.len());
         return Err(Error::field(path, "frames", problem, "annotate at least one image"));
     }
-    Ok(Annotations { names, frames })
+    Ok(Annotations { names, sigma_px, frames })
 }
 
 /// Text of `annotations.json`.
@@ -132,7 +139,8 @@ pub fn annotations_json(annotations: &Annotations) -> String {
     };
     let lines: Vec<String> = annotations.frames.iter().map(line).collect();
     let names = json!(annotations.names);
-    format!("{{\n  \"landmarks\": {names},\n  \"frames\": {{\n{}\n  }}\n}}\n", lines.join(",\n"))
+    let sigma = annotations.sigma_px.map(|s| format!("  \"sigma_px\": {},\n", json!(s))).unwrap_or_default();
+    format!("{{\n  \"landmarks\": {names},\n{sigma}  \"frames\": {{\n{}\n  }}\n}}\n", lines.join(",\n"))
 }
 
 #[cfg(test)]
@@ -145,7 +153,7 @@ mod tests {
  {"name": "a", "position_mm": [1, 2, 3.5], "covariance_mm2": [1, 0, 0, 0, 1, 0, 0, 0, 4]},
  {"name": "b", "position_mm": [1, 2, 500]}]}"#;
     const ANNOTATIONS: &[u8] =
-        br#"{"landmarks": ["b", "a"], "frames": {"7": [[1, 2], [3.5, 4]], "0": [[5, 6], [7, 8]]}}"#;
+        br#"{"landmarks": ["b", "a"], "sigma_px": 0.5, "frames": {"7": [[1, 2], [3.5, 4]], "0": [[5, 6], [7, 8]]}}"#;
 
     #[test]
     fn files_read_back_what_was_written() {
@@ -158,7 +166,7 @@ mod tests {
         let again = with_file("a.json", annotations_json(&annotations).as_bytes(), read_annotations).unwrap();
         assert_eq!(again, annotations, "annotations");
         let shape = annotations.shape(&landmarks).unwrap();
-        assert!((shape[0].z - 0.5).abs() < 1e-15, "in the order of the annotations: {shape:?}");
+        assert!((shape[0].position.z - 0.5).abs() < 1e-15, "in the order of the annotations: {shape:?}");
         let error = annotations.shape(&landmarks[..1]).unwrap_err().to_string();
         assert!(error.contains("b are not in both"), "{error}");
     }
@@ -171,6 +179,7 @@ mod tests {
         };
         assert!(annotations(", [3.5, 4]", "").contains("1 pixels for 2 landmarks"), "one missing");
         assert!(annotations("[3.5, 4]", "[3.5]").contains("\"7\"[1]"), "one coordinate");
+        assert!(annotations("0.5", "0").contains("sigma_px"), "no noise");
         assert!(annotations("\"b\"", "\"a\"").contains("landmarks[1]"), "the same name");
         assert!(annotations("\"7\"", "\"first\"").contains("not an id"), "no id");
         let text = with_file("l.json", b"{\"landmarks\": []}", read_landmarks).unwrap_err().to_string();

@@ -1,5 +1,6 @@
 //! Cameras, poses, meshes and warps. Metres, radians, f64; no I/O.
 
+pub mod bundle;
 pub mod camera;
 pub mod hand_eye;
 mod least_squares;

@@ -31,6 +31,19 @@ pub struct PnpSolution {
     pub distances_px: Vec<f64>,
 }
 
+impl PnpSolution {
+    /// A pose, and how well the points fit with it; those behind the camera are infinitely far off.
+    pub fn of(pose: Pose, camera: &Camera, points: &[Point3<f64>], pixels: &[Point2<f64>]) -> Self {
+        let distance = |(x, seen): (&Point3<f64>, &Point2<f64>)| {
+            camera.project(&pose.transform_point(x)).map_or(f64::INFINITY, |p| (p - seen).norm())
+        };
+        let distances_px: Vec<f64> = points.iter().zip(pixels).map(distance).collect();
+        #[expect(clippy::cast_precision_loss, reason = "point counts are far below 2^52")]
+        let rms_px = (distances_px.iter().map(|d| d * d).sum::<f64>() / points.len() as f64).sqrt();
+        Self { camera_from_object: pose, rms_px, distances_px }
+    }
+}
+
 /// Finds the pose from points (object frame, metres) and their pixels in the image of `camera`, lens distortion
 /// included.
 ///
@@ -48,11 +61,7 @@ pub fn solve(camera: &Camera, points: &[Point3<f64>], pixels: &[Point2<f64>]) ->
     let Some(fit) = best.filter(|fit| is_determined(&fit.normal)) else {
         return Err(refused("these points leave the pose open", REMEDY));
     };
-    let distances_px: Vec<f64> =
-        fit.residuals.as_slice().chunks(2).map(|r| (r[0] * r[0] + r[1] * r[1]).sqrt()).collect();
-    #[expect(clippy::cast_precision_loss, reason = "point counts are far below 2^52")]
-    let rms_px = (fit.residuals.norm_squared() / points.len() as f64).sqrt();
-    Ok(PnpSolution { camera_from_object: fit.state, rms_px, distances_px })
+    Ok(PnpSolution::of(fit.state, camera, points, pixels))
 }
 
 fn refused(problem: impl Into<String>, remedy: &str) -> Error {

@@ -210,7 +210,8 @@ impl Cell {
         };
         let names = (0..images.object().mesh.vertices.len()).map(name).collect();
         let frames = self.training_frames().into_iter().map(|frame| (frame, pixels(frame))).collect();
-        Annotations { names, frames }
+        let sigma = self.options.click_noise_px;
+        Annotations { names, sigma_px: (!exact && sigma > 0.0).then_some(sigma), frames }
     }
 
     /// Where the landmarks are in an image, with the noise of the random stream of this number.

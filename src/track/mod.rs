@@ -1,6 +1,7 @@
 //! A sequence of frames: prediction, alignment, loss.
 
 mod prediction;
+pub mod realign;
 
 use std::time::Instant;
 

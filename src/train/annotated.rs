@@ -1,13 +1,16 @@
 //! Annotated training (section 2 of the paper): images whose landmarks are marked, and no poses.
 //!
-//! The pose of every image follows from its landmarks, the mesh from their Delaunay triangulation in the image that
-//! sees the shape most frontally; then training goes on as with posed images.
+//! The pose of every image follows from its landmarks; then poses and landmarks are refined together. The mesh is the
+//! Delaunay triangulation of the landmarks in the image that sees the shape most frontally. Training goes on as with
+//! posed images.
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use super::TrainingImage;
+use crate::dataset::Landmark;
 use crate::error::{Error, Result};
+use crate::geometry::bundle::{self, Prior, Sighting};
 use crate::geometry::mesh::delaunay;
 use crate::geometry::pnp::{self, PnpSolution};
 use crate::geometry::{Camera, Pose, TriangleMesh};
@@ -28,6 +31,34 @@ pub struct AnnotatedImage {
     pub landmarks: Vec<Point2<f64>>,
 }
 
+/// What annotations are believed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AnnotationOptions {
+    /// An annotation further than this from its reprojected landmark is refused, pixels.
+    pub max_distance_px: f64,
+    /// Standard deviation of an annotation, pixels per coordinate: how it weighs against the landmarks' covariance.
+    pub sigma_px: f64,
+    /// Refine the landmarks with the poses; those without covariance stay.
+    pub refine: bool,
+}
+
+impl Default for AnnotationOptions {
+    fn default() -> Self {
+        Self { max_distance_px: 10.0, sigma_px: 0.3, refine: true }
+    }
+}
+
+/// What the annotations changed in the landmarks. Root mean squares over landmarks and axes, metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Refinement {
+    /// How far the landmarks moved.
+    pub moved: f64,
+    /// Their standard deviation before.
+    pub sigma_before: f64,
+    /// And after.
+    pub sigma_after: f64,
+}
+
 /// Annotated images made ready for [`super::train`].
 #[derive(Debug, Clone)]
 pub struct Posed {
@@ -35,38 +66,82 @@ pub struct Posed {
     pub images: Vec<TrainingImage>,
     /// How well the landmarks fit, per image.
     pub fits: Vec<PnpSolution>,
+    /// What became of the landmarks, if they were refined.
+    pub refinement: Option<Refinement>,
     /// The landmarks' mesh.
     pub mesh: TriangleMesh,
     /// Index of the image in which the landmarks were triangulated.
     pub reference: usize,
 }
 
-/// Finds the poses of annotated images by their landmarks (`shape`: positions in the object frame, metres) and joins
-/// the landmarks to a mesh. An annotation further than `max_distance_px` from its reprojected landmark is refused.
+/// Finds the poses of annotated images by their landmarks (object frame), refines both, and joins the landmarks to a
+/// mesh.
 ///
 /// # Errors
 /// [`Error::Invalid`] naming the frame for what [`pnp::solve`] refuses, and frame and landmark of an annotation that
-/// does not fit; [`Error::Invalid`] if the landmarks span no surface.
-pub fn pose(shape: &[Point3<f64>], images: Vec<AnnotatedImage>, max_distance_px: f64) -> Result<Posed> {
-    let mut posed =
-        Posed { images: Vec::new(), fits: Vec::new(), mesh: TriangleMesh::default(), reference: 0 };
-    for annotated in images {
-        let fit = fit(shape, &annotated, max_distance_px)?;
-        posed.images.push(TrainingImage {
-            image: annotated.image,
-            camera: annotated.camera.rectified(),
-            camera_from_object: fit.camera_from_object,
-        });
-        posed.fits.push(fit);
-    }
-    let views: Vec<Pose> = posed.images.iter().map(|i| i.camera_from_object).collect();
-    let Some(reference) = most_frontal(shape, &views) else {
+/// does not fit; what [`bundle::refine`] refuses; [`Error::Invalid`] if the landmarks span no surface.
+pub fn pose(
+    landmarks: &[Landmark],
+    images: Vec<AnnotatedImage>,
+    options: &AnnotationOptions,
+) -> Result<Posed> {
+    let mut shape: Vec<Point3<f64>> = landmarks.iter().map(|l| l.position).collect();
+    let fits: Result<Vec<PnpSolution>> =
+        images.iter().map(|image| fit(&shape, image, options.max_distance_px)).collect();
+    let mut fits = fits?;
+    let known = landmarks.iter().all(|l| l.covariance == Matrix3::zeros());
+    let refinement = if options.refine && !known && !images.is_empty() {
+        Some(refine(landmarks, &images, options.sigma_px, &mut shape, &mut fits)?)
+    } else {
+        None
+    };
+    let views: Vec<Pose> = fits.iter().map(|f| f.camera_from_object).collect();
+    let Some(reference) = most_frontal(&shape, &views) else {
         return Err(Error::invalid("training", "there is no annotated image", "annotate at least one"));
     };
-    posed.reference = reference;
-    let image = &posed.images[reference];
-    posed.mesh = landmark_mesh(shape, &image.camera, &image.camera_from_object)?;
-    Ok(posed)
+    let mesh = landmark_mesh(&shape, &images[reference].camera.rectified(), &views[reference])?;
+    let posed = |(image, camera_from_object): (AnnotatedImage, Pose)| TrainingImage {
+        image: image.image,
+        camera: image.camera.rectified(),
+        camera_from_object,
+    };
+    let images = images.into_iter().zip(views).map(posed).collect();
+    Ok(Posed { images, fits, refinement, mesh, reference })
+}
+
+/// Bundle adjustment of `shape` and the poses of `fits`.
+fn refine(
+    landmarks: &[Landmark],
+    images: &[AnnotatedImage],
+    sigma_px: f64,
+    shape: &mut [Point3<f64>],
+    fits: &mut [PnpSolution],
+) -> Result<Refinement> {
+    let prior = |l: &Landmark| Prior { position: l.position, covariance: l.covariance };
+    let priors: Vec<Prior> = landmarks.iter().map(prior).collect();
+    let sighting = |(image, fit): (&AnnotatedImage, &PnpSolution)| Sighting {
+        camera: image.camera,
+        camera_from_object: fit.camera_from_object,
+        pixels: image.landmarks.clone(),
+    };
+    let sightings: Vec<Sighting> = images.iter().zip(fits.iter()).map(sighting).collect();
+    let bundle = bundle::refine(&priors, &sightings, sigma_px)?;
+    for (x, point) in shape.iter_mut().zip(&bundle.points) {
+        *x = point.position;
+    }
+    for ((fit, pose), image) in fits.iter_mut().zip(&bundle.poses).zip(images) {
+        *fit = PnpSolution::of(*pose, &image.camera, shape, &image.landmarks);
+    }
+    #[expect(clippy::cast_precision_loss, reason = "landmark counts are far below 2^52")]
+    let rms = |squares: f64| (squares / (3 * priors.len()) as f64).sqrt();
+    let moved =
+        bundle.points.iter().zip(&priors).map(|(a, b)| (a.position - b.position).norm_squared()).sum();
+    let spread = |points: &[Prior]| points.iter().map(|p| p.covariance.trace()).sum();
+    Ok(Refinement {
+        moved: rms(moved),
+        sigma_before: rms(spread(&priors)),
+        sigma_after: rms(spread(&bundle.points)),
+    })
 }
 
 fn fit(shape: &[Point3<f64>], annotated: &AnnotatedImage, max_distance_px: f64) -> Result<PnpSolution> {
@@ -137,6 +212,15 @@ mod tests {
     use crate::train::{TrainOptions, train};
     use nalgebra::Rotation3;
 
+    const OPTIONS: AnnotationOptions =
+        AnnotationOptions { max_distance_px: 5.0, sigma_px: 0.3, refine: true };
+
+    /// The relief's landmarks, exact.
+    fn shape() -> Vec<Landmark> {
+        let landmark = |&position| Landmark { name: String::new(), position, covariance: Matrix3::zeros() };
+        relief(1).mesh.vertices.iter().map(landmark).collect()
+    }
+
     fn annotated(frame: u32, turn: [f64; 3]) -> (Pose, AnnotatedImage) {
         let camera = Camera::pinhole(400.0, 400.0, 159.5, 119.5, 320, 240);
         let pose = Pose::new(Rotation3::new(turn.into()), Vector3::new(0.01, 0.0, 0.6));
@@ -150,8 +234,7 @@ mod tests {
     #[test]
     fn exact_annotations_give_poses_mesh_and_model() {
         let (tilted, frontal) = (annotated(4, [0.4, 0.2, 0.3]), annotated(9, [0.02, 0.0, 0.0]));
-        let shape = relief(1).mesh.vertices;
-        let posed = pose(&shape, vec![tilted.1, frontal.1], 5.0).unwrap();
+        let posed = pose(&shape(), vec![tilted.1, frontal.1], &OPTIONS).unwrap();
         assert_eq!(posed.reference, 1, "the frontal view");
         for (image, truth) in posed.images.iter().zip([tilted.0, frontal.0]) {
             let off = (image.camera_from_object.matrix() - truth.matrix()).norm();
@@ -163,18 +246,40 @@ mod tests {
         assert!(model.levels[0].pixels.len() > 10_000, "{} px", model.levels[0].pixels.len());
     }
 
+    /// Depths that are 2 mm off are put right by two oblique views.
+    #[test]
+    fn landmarks_are_refined_unless_exact() {
+        let images = || [[0.4, 0.2, 0.3], [-0.4, 0.1, 0.0]].map(|turn| annotated(4, turn).1).to_vec();
+        assert!(pose(&shape(), images(), &OPTIONS).unwrap().refinement.is_none(), "exact landmarks stay");
+        let mut wrong = shape();
+        for (k, landmark) in wrong.iter_mut().enumerate() {
+            landmark.position.z += if k % 2 == 0 { 0.002 } else { -0.002 };
+            landmark.covariance = Matrix3::from_diagonal(&Vector3::new(1e-8, 1e-8, 4e-6));
+        }
+        let off = |options| {
+            let vertices = pose(&wrong, images(), &options).unwrap().mesh.vertices;
+            let squares = vertices.iter().zip(shape()).map(|(a, b)| (a - b.position).norm_squared());
+            (squares.sum::<f64>() / 76.0).sqrt()
+        };
+        let (before, after) = (off(AnnotationOptions { refine: false, ..OPTIONS }), off(OPTIONS));
+        assert!((before - 0.002).abs() < 1e-12 && after < 0.0005, "{before} to {after} m");
+        let refinement = pose(&wrong, images(), &OPTIONS).unwrap().refinement.unwrap();
+        assert!(refinement.sigma_after < 0.5 * refinement.sigma_before, "{refinement:?}");
+        assert!((refinement.moved - 0.002 / 3_f64.sqrt()).abs() < 3e-4, "{refinement:?}");
+    }
+
     #[test]
     fn wrong_annotations_are_named() {
-        let shape = relief(1).mesh.vertices;
+        let shape = shape();
         let mut wrong = annotated(4, [0.4, 0.2, 0.3]).1;
         wrong.landmarks[30].x += 25.0;
-        let text = pose(&shape, vec![wrong.clone()], 5.0).unwrap_err().to_string();
+        let text = pose(&shape, vec![wrong.clone()], &OPTIONS).unwrap_err().to_string();
         assert!(text.contains("frame 4: landmark 30"), "{text}");
-        let text = pose(&shape[..5], vec![wrong.clone()], 5.0).unwrap_err().to_string();
+        let text = pose(&shape[..5], vec![wrong.clone()], &OPTIONS).unwrap_err().to_string();
         assert!(text.contains("frame 4") && text.contains("5 points, but 76"), "{text}");
         wrong.landmarks.truncate(3);
-        let text = pose(&shape[..3], vec![wrong], 5.0).unwrap_err().to_string();
+        let text = pose(&shape[..3], vec![wrong], &OPTIONS).unwrap_err().to_string();
         assert!(text.contains("frame 4") && text.contains("too few"), "{text}");
-        assert!(pose(&shape, Vec::new(), 5.0).is_err(), "no image");
+        assert!(pose(&shape, Vec::new(), &OPTIONS).is_err(), "no image");
     }
 }
