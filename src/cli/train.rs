@@ -12,7 +12,7 @@ use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
 use crate::geometry::pnp::PnpSolution;
 use crate::model::Model;
 use crate::track::Status;
-use crate::track::realign::train_realigned;
+use crate::track::realign::{REALIGNMENTS, train_realigned};
 use crate::train::annotated::{self, AnnotationOptions, Refinement};
 use crate::train::{TrainOptions, extend, train};
 
@@ -22,8 +22,6 @@ const CERTAIN_MM: f64 = 0.5;
 const CERTAIN_DEG: f64 = 0.2;
 /// And with at least this median correlation.
 const CERTAIN_CORRELATION: f64 = 0.8;
-/// How often annotated images are aligned with the model of all of them; the third time changes little.
-const REALIGNMENTS: usize = 2;
 /// More frames than this add memory, not knowledge.
 const MAX_EXTENSION_FRAMES: usize = 40;
 

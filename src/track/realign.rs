@@ -17,6 +17,9 @@ use crate::train::{TrainOptions, TrainingImage, train};
 /// An image whose vertices move further than this (root mean square) keeps its pose, pixels.
 const MAX_MOVE_PX: f64 = 3.0;
 
+/// How often annotated images are aligned with the model of all of them; the third time changes little.
+pub const REALIGNMENTS: usize = 2;
+
 /// A model after several passes.
 #[derive(Debug, Clone)]
 pub struct Realigned {
@@ -24,6 +27,8 @@ pub struct Realigned {
     pub model: Model,
     /// How far the vertices moved in each training image from its first pose, root mean square, pixels.
     pub moved_px: Vec<f64>,
+    /// The training images with the poses of the last pass.
+    pub images: Vec<TrainingImage>,
 }
 
 /// Trains `passes` times and once more: between, every image is aligned with the model so far. Poses in which the object
@@ -44,7 +49,7 @@ pub fn train_realigned(
     }
     let moved = |(image, first): (&TrainingImage, &Pose)| moved_px(mesh, image, first);
     let moved_px = images.iter().zip(&first).map(moved).collect();
-    Ok(Realigned { model: train(mesh, &images, options)?, moved_px })
+    Ok(Realigned { model: train(mesh, &images, options)?, moved_px, images })
 }
 
 fn realign(model: Model, mesh: &TriangleMesh, images: &mut [TrainingImage]) -> Result<()> {

@@ -17,7 +17,9 @@ use crate::geometry::TriangleMesh;
 use crate::geometry::rigid_fit::rigid_fit;
 use crate::geometry::stereo::ClickOptions;
 use crate::simulate::{CellOptions, SceneKind, SequenceOptions, write_cell, write_dataset};
-use crate::train::{TrainingImage, annotated};
+use crate::track::realign::{REALIGNMENTS, train_realigned};
+use crate::train::annotated::{self, AnnotationOptions};
+use crate::train::{TrainOptions, TrainingImage};
 
 /// Training images per sequence, as many as in the paper.
 pub(super) const TRAINING_IMAGES: u32 = 16;
@@ -111,8 +113,12 @@ pub(super) fn training(
     let shape = annotations.shape(&clicked_landmarks(data)?)?;
     let ids: Vec<u32> = annotations.frames.keys().copied().collect();
     let images = annotated_images(&scene, &annotations, &ids)?;
-    let posed = annotated::pose(&shape, images, MAX_ANNOTATION_PX)?;
-    Ok((posed.mesh, posed.images))
+    let default = AnnotationOptions::default();
+    let sigma_px = annotations.sigma_px.unwrap_or(default.sigma_px).max(1e-3);
+    let noise = AnnotationOptions { max_distance_px: MAX_ANNOTATION_PX, sigma_px, ..default };
+    let posed = annotated::pose(&shape, images, &noise)?;
+    let realigned = train_realigned(&posed.mesh, posed.images, &TrainOptions::default(), REALIGNMENTS)?;
+    Ok((posed.mesh, realigned.images))
 }
 
 /// Landmarks triangulated from the clicks of the stereo pair, moved rigidly into the object's frame, so that poses can
