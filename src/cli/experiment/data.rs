@@ -139,12 +139,13 @@ fn clicked_landmarks(data: &Path) -> anyhow::Result<Vec<Landmark>> {
         .filter_map(|(c, p)| Some((p.position, exact.iter().find(|e| e.name == c.name)?.position)))
         .unzip();
     let (object_from_camera, _) = rigid_fit(&from, &to)?;
+    let turn = object_from_camera.rotation();
     let landmark =
         |(click, point): (&crate::geometry::stereo::ClickPair, &crate::geometry::stereo::StereoPoint)| {
             Landmark {
                 name: click.name.clone(),
                 position: object_from_camera.transform_point(&point.position),
-                covariance: point.covariance,
+                covariance: turn * point.covariance * turn.transpose(),
             }
         };
     Ok(clicks.pairs.iter().zip(&points).map(landmark).collect())
