@@ -164,6 +164,10 @@ impl Dataset {
             PoseSource::Reference => folder.join("scene_ref.json"),
             PoseSource::File(path) => path.clone(),
         };
+        if !path.exists() {
+            let remedy = "give the poses with gt (scene_gt.json), ref (scene_ref.json), or as a file";
+            return Err(Error::field(&path, "poses", "there is no such file", remedy));
+        }
         poses::read(&path, scene_id, object_id)
     }
 

@@ -4,24 +4,7 @@ use image::GrayImage;
 
 /// Grey value at (u, v), bilinear; `None` where a needed pixel is outside (0 <= u < width-1, 0 <= v < height-1).
 pub fn bilinear(image: &GrayImage, u: f64, v: f64) -> Option<f64> {
-    let (w, h) = image.dimensions();
-    let inside = u >= 0.0 && v >= 0.0 && u < f64::from(w) - 1.0 && v < f64::from(h) - 1.0;
-    inside.then(|| {
-        let (u0, v0) = (u.floor(), v.floor());
-        let (fu, fv) = (u - u0, v - v0);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "inside the image, checked above"
-        )]
-        let at = v0 as usize * w as usize + u0 as usize;
-        let data = image.as_raw();
-        let [a, b] = [f64::from(data[at]), f64::from(data[at + 1])];
-        let [c, d] = [f64::from(data[at + w as usize]), f64::from(data[at + w as usize + 1])];
-        let top = a + fu * (b - a);
-        let bottom = c + fu * (d - c);
-        top + fv * (bottom - top)
-    })
+    bilinear_with_gradient(image, u, v).map(|(value, _)| value)
 }
 
 /// [`bilinear`] and its derivative by u and v, grey levels per pixel: with values a b over c d and the fractions
