@@ -51,10 +51,10 @@ pub(super) fn pack(position: [u16; 2], centre: Vector2<f64>) -> u32 {
     u | v << 16
 }
 
-/// Moves the gradient sums of a row from the chart's centre to its origin.
-pub(super) fn to_origin(row: &mut [f64], centre: Vector2<f64>) {
-    for gradient in row[..6].chunks_exact_mut(3) {
-        gradient[0] += centre.x * gradient[2];
-        gradient[1] += centre.y * gradient[2];
+/// Moves sums of x (u, v, 1), any number of such triples, from the chart's centre to its origin.
+pub(super) fn to_origin(sums: &mut [f64], centre: Vector2<f64>) {
+    for slope in sums.chunks_exact_mut(3) {
+        slope[0] += centre.x * slope[2];
+        slope[1] += centre.y * slope[2];
     }
 }

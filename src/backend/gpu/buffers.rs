@@ -1,11 +1,12 @@
 //! What is stored on the device: the structs of `shaders/common.wgsl` and the pixels of a template.
 
 use bytemuck::{Pod, Zeroable};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use wgpu::BufferUsages;
 
 use super::context::Context;
 use crate::backend::TriangleWarp;
+use crate::backend::local::{self, LocalWarp};
 use crate::error::Result;
 use crate::model::{LevelTemplate, Pixels};
 
@@ -51,23 +52,12 @@ pub struct Warp {
 
 impl Warp {
     /// The warp from positions relative to the chart's `centre`, minus an integer base pixel near the warped centre.
-    /// Both shifts are made in f64, so that f32 holds only distances within the chart.
     pub fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
-        /// Largest base, pixels: f32 holds it and its neighbours exactly.
-        const LIMIT: f64 = 4_194_304.0;
         if !warp.active {
             return Self::zeroed();
         }
-        let mut h = warp.image_from_chart;
-        let at = h * Vector3::new(centre.x, centre.y, 1.0);
-        h.set_column(2, &at);
-        let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
-        let base = [near(at.x), near(at.y), 0.0];
-        let row = |i: usize, last: f64| {
-            let [a, b, c] = [0, 1, 2].map(|j| h[(i, j)] - base[i] * h[(2, j)]);
-            #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
-            [a, b, c, last].map(|x| x as f32)
-        };
+        let LocalWarp { rows, base } = LocalWarp::new(warp, centre);
+        let row = |i: usize, last: f32| [rows[i][0], rows[i][1], rows[i][2], last];
         Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0) }
     }
 }
@@ -103,7 +93,8 @@ impl DeviceLevel {
     /// Uploads a level.
     pub(super) fn upload(context: &Context, template: &LevelTemplate, chunk_pixels: u32) -> Result<Self> {
         let pixels = &template.pixels;
-        let (chunks, centres) = (chunks(template, chunk_pixels), centres(template));
+        let centres: Vec<Vector2<f64>> = template.charts.iter().map(|c| local::centre(template, c)).collect();
+        let chunks = chunks(template, chunk_pixels);
         let level = Level {
             pixels: small(pixels.len()),
             chunks: small(chunks.len()),
@@ -158,10 +149,7 @@ fn positions(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<u32> {
     for (chart, centre) in template.charts.iter().zip(centres) {
         for (word, position) in packed[chart.range()].iter_mut().zip(&template.pixels.position[chart.range()])
         {
-            let shifted = [f64::from(position[0]) - centre.x, f64::from(position[1]) - centre.y];
-            #[expect(clippy::cast_possible_truncation, reason = "the centre is in the middle of a u16 range")]
-            let [u, v] = shifted.map(|x| u32::from((x as i16).cast_unsigned()));
-            *word = u | v << 16;
+            *word = local::pack(*position, *centre);
         }
     }
     packed
@@ -177,17 +165,4 @@ fn mode_planes(pixels: &Pixels) -> Vec<[f32; 4]> {
     let plane =
         |four: &'_ [Vec<f32>], p: usize| std::array::from_fn(|k| four.get(k).map_or(0.0, |mode| mode[p]));
     pixels.modes.chunks(4).flat_map(|four| (0..pixels.len()).map(move |p| plane(four, p))).collect()
-}
-
-fn centres(template: &LevelTemplate) -> Vec<Vector2<f64>> {
-    let middle = |chart: &crate::model::Chart| {
-        let positions = &template.pixels.position[chart.range()];
-        let first = positions.first().copied().unwrap_or_default();
-        let (lo, hi) = positions.iter().fold((first, first), |(lo, hi), p| {
-            ([lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])])
-        });
-        let [u, v] = [0, 1].map(|k| f64::from(hi[k] - (hi[k] - lo[k]) / 2));
-        Vector2::new(u, v)
-    };
-    template.charts.iter().map(middle).collect()
 }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use nalgebra::Vector2;
 
 use super::buffers::DeviceLevel;
+use crate::backend::local::to_origin;
 use crate::backend::{Linearization, Sums};
 
 /// Numbers of a row of [`Sums`] before the modes, on the host and, padded, on the device.
@@ -26,7 +27,7 @@ pub(super) fn add_sums(level: &DeviceLevel, items: Range<usize>, chunk_rows: &[f
             add_first(&mut rows[chunk.triangle as usize * row_len..][..row_len], partial);
         }
         for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
-            move_first(&mut row[..6], centre);
+            to_origin(&mut row[..6], *centre);
         }
     }
 }
@@ -54,9 +55,9 @@ pub(super) fn add_linearization(
         }
         let rows = first.chunks_exact_mut(first_len).zip(second.chunks_exact_mut(second_len));
         for ((first, second), centre) in rows.zip(&level.centres) {
-            move_first(&mut first[..6], centre);
+            to_origin(&mut first[..6], *centre);
             second[..18].chunks_exact_mut(6).for_each(|block| move_second(block, centre));
-            move_first(&mut second[18..], centre);
+            to_origin(&mut second[18..], *centre);
         }
     }
 }
@@ -82,15 +83,7 @@ fn add_second(row: &mut [f64], partial: &[f32]) {
     }
 }
 
-/// Sums of x (u, v, 1): u and v become relative to the chart's origin instead of its centre.
-fn move_first(sums: &mut [f64], centre: &Vector2<f64>) {
-    for slope in sums.chunks_exact_mut(3) {
-        slope[0] += centre.x * slope[2];
-        slope[1] += centre.y * slope[2];
-    }
-}
-
-/// The same for sums of x (u^2, u v, u, v^2, v, 1).
+/// [`to_origin`] for sums of x (u^2, u v, u, v^2, v, 1).
 fn move_second(sums: &mut [f64], c: &Vector2<f64>) {
     let [uu, uv, u, vv, v, one] = [0, 1, 2, 3, 4, 5].map(|k| sums[k]);
     sums[0] = uu + 2.0 * c.x * u + c.x * c.x * one;

@@ -78,7 +78,7 @@ pub(super) fn accumulate(
             let appearance = &request.appearance[item * modes..][..modes];
             let row = &mut tile.rows[(k * tile.triangles.len() + i) * row_len..][..row_len];
             dispatch!(level, simd => add_triangle(simd, template, t, &local, appearance, image, &mut scratch, row));
-            to_origin(row, triangle.centre);
+            to_origin(&mut row[..6], triangle.centre);
         }
     }
 }
