@@ -90,7 +90,7 @@ fn wrong_requests_are_refused() -> Result<(), Failed> {
     gpu.set_frame(&scene.image, 1)?;
     let short = aam6d::backend::Request { warps: &scene.warps[1..], ..request };
     expect("too few warps", gpu.accumulate(&short, &mut out), invalid)?;
-    let level = aam6d::backend::Request { level: 1, ..request };
+    let level = aam6d::backend::Request { level: 1, image_level: 1, ..request };
     expect("no such level", gpu.accumulate(&level, &mut out), invalid)?;
     Ok(gpu.accumulate(&request, &mut out)?)
 }

@@ -196,13 +196,11 @@ fn every_level_sees_its_own_image() -> Result<(), Failed> {
     let mut rng = ChaCha8Rng::seed_from_u64(10);
     let full = image(&mut rng, 2 * scene.image.width() + 1, 2 * scene.image.height());
     scene.image = downsample(&full);
-    let mut model = scene.model.clone();
-    model.levels.push(model.levels[0].clone());
     let mut gpu = shared();
-    let model = gpu.load(&model)?;
+    let model = gpu.load(&scene.model)?;
     gpu.set_frame(&full, 2)?;
     let mut sums = Default::default();
-    gpu.accumulate(&aam6d::backend::Request { level: 1, ..scene.request(model) }, &mut sums)?;
+    gpu.accumulate(&aam6d::backend::Request { image_level: 1, ..scene.request(model) }, &mut sums)?;
     Ok(Reference::new(&scene).compare(&scene, &sums)?)
 }
 

@@ -108,7 +108,7 @@ pub(super) fn scores<'s>(
 ) -> Result<Vec<Score>> {
     let level = SCORE_LEVEL.min(target.model.levels.len() - 1);
     let problem = LevelProblem::new(target, level, Grouping::FaceAndView);
-    let mut evaluator = Evaluator::new(backend, target, level, &problem);
+    let mut evaluator = Evaluator::new(backend, target, &problem);
     evaluator.evaluate(states.clone())?;
     let score = |(k, (state, visibility)): (usize, (&State, &Vec<f64>))| {
         Score::new(problem.level, &evaluator.rows(k), visibility, &state.appearance)
@@ -131,7 +131,6 @@ pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
 pub(super) struct Evaluator<'a> {
     backend: &'a mut dyn Backend,
     target: &'a Target<'a>,
-    level: usize,
     problem: &'a LevelProblem<'a>,
     out: Linearization,
     warps: Vec<TriangleWarp>,
@@ -142,11 +141,10 @@ impl<'a> Evaluator<'a> {
     pub(super) fn new(
         backend: &'a mut dyn Backend,
         target: &'a Target<'a>,
-        level: usize,
         problem: &'a LevelProblem<'a>,
     ) -> Self {
         let (warps, appearance) = (Vec::new(), Vec::new());
-        Self { backend, target, level, problem, out: Linearization::default(), warps, appearance }
+        Self { backend, target, problem, out: Linearization::default(), warps, appearance }
     }
 
     /// Stage `accumulate`; every state comes with its visibility.
@@ -156,7 +154,7 @@ impl<'a> Evaluator<'a> {
     ) -> Result<()> {
         let items = self.encode(states);
         self.backend.accumulate(
-            &request(self.target, self.level, items, &self.warps, &self.appearance),
+            &request(self.target, self.problem, items, &self.warps, &self.appearance),
             &mut self.out.sums,
         )
     }
@@ -167,8 +165,10 @@ impl<'a> Evaluator<'a> {
         states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>,
     ) -> Result<()> {
         let items = self.encode(states);
-        self.backend
-            .linearize(&request(self.target, self.level, items, &self.warps, &self.appearance), &mut self.out)
+        self.backend.linearize(
+            &request(self.target, self.problem, items, &self.warps, &self.appearance),
+            &mut self.out,
+        )
     }
 
     /// Fills warps and appearance; returns the number of states.
@@ -205,12 +205,13 @@ impl<'a> Evaluator<'a> {
 
 fn request<'r>(
     target: &Target<'_>,
-    level: usize,
+    problem: &LevelProblem<'_>,
     items: usize,
     warps: &'r [TriangleWarp],
     appearance: &'r [f32],
 ) -> Request<'r> {
-    Request { model: target.id, level, items, warps, appearance }
+    let LevelProblem { number: level, image_level, .. } = *problem;
+    Request { model: target.id, level, image_level, items, warps, appearance }
 }
 
 /// The device works in f32.

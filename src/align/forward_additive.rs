@@ -108,7 +108,7 @@ impl ForwardAdditive {
         let stop_px = options.stop_px.get(level).or(options.stop_px.last()).copied().unwrap_or(0.01);
         let redescent = options.robust.then_some(Redescent::DEFAULT);
         let mut descents: Vec<Descent> = states.into_iter().map(|s| Descent::new(target, s)).collect();
-        let mut evaluator = Evaluator::new(backend, target, level, &problem);
+        let mut evaluator = Evaluator::new(backend, target, &problem);
         // At least one look, for the score.
         for _ in 0..options.max_iterations.max(1) {
             let active = || descents.iter().filter(|d| d.stop.is_none());

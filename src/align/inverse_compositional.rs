@@ -104,7 +104,7 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         let settings = self.settings(level, robust);
         let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
-        let mut evaluator = Evaluator::new(backend, target, level, &problem);
+        let mut evaluator = Evaluator::new(backend, target, &problem);
         evaluator.evaluate(states.iter().zip(&visibility))?;
         let mut descents = Vec::with_capacity(states.len());
         for (i, (state, visibility)) in states.into_iter().zip(visibility).enumerate() {

@@ -14,7 +14,11 @@ use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
 #[derive(Debug)]
 pub(super) struct LevelProblem<'a> {
     pub(super) level: &'a LevelTemplate,
-    /// Camera at this level.
+    /// Its number.
+    pub(super) number: usize,
+    /// Pyramid level of the image.
+    pub(super) image_level: usize,
+    /// Camera at the level of the image.
     pub(super) camera: Camera,
     pub(super) groups: Groups,
     /// Centre of rotation, object frame.
@@ -25,11 +29,24 @@ impl<'a> LevelProblem<'a> {
     /// A level of what is aligned; `at_full_size` says who shares gain and bias there, coarser levels always use
     /// [`Grouping::FaceAndView`].
     pub(super) fn new(target: &Target<'a>, level: usize, at_full_size: Grouping) -> Self {
+        Self::across(target, level, level, at_full_size)
+    }
+
+    /// As [`Self::new`], with another level of the image: where the object is seen at another scale than in the
+    /// reference views.
+    pub(super) fn across(
+        target: &Target<'a>,
+        level: usize,
+        image_level: usize,
+        at_full_size: Grouping,
+    ) -> Self {
         let template = &target.model.levels[level];
         let grouping = if level == 0 { at_full_size } else { Grouping::FaceAndView };
         Self {
             level: template,
-            camera: target.camera.at_level(level),
+            number: level,
+            image_level,
+            camera: target.camera.at_level(image_level),
             groups: Groups::new(grouping, &target.model.shape, template),
             centre: target.model.shape.centre,
         }

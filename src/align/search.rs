@@ -72,7 +72,7 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         // What is visible hardly depends on the shift.
         let visible = visibility(target, &start);
-        let mut evaluator = Evaluator::new(backend, target, level, &problem);
+        let mut evaluator = Evaluator::new(backend, target, &problem);
         evaluator.evaluate(states.iter().map(|s| (s, &visible)))?;
         let misfits: Vec<f64> = (0..states.len())
             .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible))

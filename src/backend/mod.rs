@@ -41,8 +41,11 @@ pub struct TriangleWarp {
 pub struct Request<'a> {
     /// The model.
     pub model: ModelId,
-    /// Pyramid level of template and image.
+    /// Pyramid level of the template.
     pub level: usize,
+    /// Pyramid level of the image: the template's own, or another where the object is seen at another scale than in
+    /// the reference view.
+    pub image_level: usize,
     /// Number of poses B.
     pub items: usize,
     /// B times one warp per triangle.
@@ -59,9 +62,9 @@ impl Request<'_> {
     pub fn check(&self, triangles: usize, modes: usize, frame_levels: usize) -> Result<()> {
         let refuse =
             |problem: String, remedy: &str| Err(Error::invalid("accumulate request", problem, remedy));
-        if self.level >= frame_levels {
+        if self.image_level >= frame_levels {
             return refuse(
-                format!("level {} of a frame with {frame_levels}", self.level),
+                format!("level {} of a frame with {frame_levels}", self.image_level),
                 "call set_frame first",
             );
         }

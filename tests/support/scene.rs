@@ -53,7 +53,14 @@ impl Scene {
 
     /// The request for all poses.
     pub(crate) fn request(&self, model: ModelId) -> Request<'_> {
-        Request { model, level: 0, items: self.items, warps: &self.warps, appearance: &self.appearance }
+        Request {
+            model,
+            level: 0,
+            image_level: 0,
+            items: self.items,
+            warps: &self.warps,
+            appearance: &self.appearance,
+        }
     }
 
     /// The one level.

@@ -176,7 +176,7 @@ impl Edge {
         let problem = LevelProblem::new(target, 0, Grouping::Triangle);
         let state = State { pose: end.pose, appearance: start.appearance.clone() };
         let visibility = visibility(target, &end.pose);
-        let mut evaluator = Evaluator::new(backend, target, 0, &problem);
+        let mut evaluator = Evaluator::new(backend, target, &problem);
         evaluator.evaluate([(&state, &visibility)].into_iter())?;
         let rows: Rows<'_> = evaluator.rows(0);
         let weights = triangle_weights(&problem, &rows, &visibility, None);

@@ -254,7 +254,8 @@ impl Pass<'_> {
         let warps: Vec<TriangleWarp> =
             (0..self.level.charts.len()).map(|t| self.warp(&pose, t).unwrap_or(IDLE)).collect();
         let appearance: Vec<f32> = step.appearance.iter().copied().map(narrow).collect();
-        let request = Request { model, level: 0, items: 1, warps: &warps, appearance: &appearance };
+        let request =
+            Request { model, level: 0, image_level: 0, items: 1, warps: &warps, appearance: &appearance };
         self.backend.accumulate(&request, &mut self.sums)
     }
 

@@ -160,13 +160,13 @@ impl Backend for CpuBackend {
         sums.reset(request.items, triangles, modes);
         match &level.fast {
             Some(level) => self.accumulate_fast(level, request, sums),
-            None => accumulate_twin(&level.template, request, self.frame.level(request.level), sums),
+            None => accumulate_twin(&level.template, request, self.frame.level(request.image_level), sums),
         }
         Ok(())
     }
 
     fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()> {
-        let (level, image) = (&self.find(request)?.template, self.frame.level(request.level));
+        let (level, image) = (&self.find(request)?.template, self.frame.level(request.image_level));
         let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
         out.reset(request.items, triangles, modes);
         let (first, second) = out.data_mut();
@@ -188,7 +188,7 @@ impl Backend for CpuBackend {
 impl CpuBackend {
     /// Cuts the rows into tiles that are worth a thread: runs of poses, or of triangles for a single pose.
     fn accumulate_fast(&self, level: &FastLevel, request: &Request<'_>, sums: &mut Sums) {
-        let (image, triangles) = (&self.pairs[request.level], level.triangles.len());
+        let (image, triangles) = (&self.pairs[request.image_level], level.triangles.len());
         let row_len = Sums::row_len(level.modes);
         let work = request.items * level.padded_pixels();
         let threads = (work / PIXELS_PER_THREAD).clamp(1, rayon::current_num_threads());

@@ -179,7 +179,8 @@ impl GpuBackend {
         let idle = TriangleWarp { image_from_chart: Matrix3::zeros(), active: false };
         let (warps, appearance) = (vec![idle; level.level.centres.len()], vec![0.0; level.level.modes]);
         let model = ModelId(self.models.len());
-        let request = Request { model, level: 0, items: 1, warps: &warps, appearance: &appearance };
+        let request =
+            Request { model, level: 0, image_level: 0, items: 1, warps: &warps, appearance: &appearance };
         let target = Target {
             context: &self.context,
             layout: &self.layouts[1],
@@ -218,7 +219,7 @@ impl GpuBackend {
             layout: &self.layouts[1],
             level,
             pass: &self.passes[&(stage.name, small(level.level.modes.div_ceil(4)))],
-            image: frame.bind_group(request.level),
+            image: frame.bind_group(request.image_level),
             limit: self.limit(),
         };
         let write = |items: std::ops::Range<usize>, data: &[f32]| write(&level.level, items, data);

@@ -133,8 +133,14 @@ pub(super) fn passes(
     let mut best = vec![f64::INFINITY; runners.len() + 2];
     for _ in 0..effort.rounds {
         for (best, r) in best.iter_mut().zip(&mut runners) {
-            let request =
-                Request { model: r.model, level: 0, items: 1, warps: &warps, appearance: &appearance };
+            let request = Request {
+                model: r.model,
+                level: 0,
+                image_level: 0,
+                items: 1,
+                warps: &warps,
+                appearance: &appearance,
+            };
             for _ in 0..CALLS {
                 let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.sums));
                 done?;
