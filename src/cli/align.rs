@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::backend::BackendArgs;
 use super::frames::{self, SceneArgs};
+use super::method::MethodArgs;
 use super::progress;
 use super::records::{ResultsFile, row};
 use super::summary::JsonArg;
@@ -29,9 +30,8 @@ pub(super) struct Args {
     /// Results file to write (BOP CSV; score 0 means lost), one line per start in the same order
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// How to align
-    #[arg(long, value_enum, default_value_t)]
-    method: Method,
+    #[command(flatten)]
+    method: MethodArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -47,14 +47,19 @@ struct Summary {
     method: Method,
     backend: String,
     results: PathBuf,
+    /// What the model lacks for the method.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    warning: Option<String>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let model = Model::load(&args.model)?;
     let (_, scene) = args.scene.open()?;
     let starts = read_starts(args, &scene, model.object_id)?;
+    let aligner = args.method.aligner()?;
+    let warning = args.method.misfit(&model);
     let opened = args.backend.open()?;
-    let mut tracker = Tracker::new(model, scene.frames[0].camera, opened.backend, args.method.aligner())?;
+    let mut tracker = Tracker::new(model, scene.frames[0].camera, opened.backend, aligner)?;
     let (rows, iterations) = align_all(&mut tracker, &scene, &starts)?;
     let mut out = ResultsFile::create(&args.out)?;
     rows.iter().try_for_each(|row| out.write(row))?;
@@ -67,11 +72,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         aligned: rows.len() - lost,
         lost,
         iterations_mean,
-        method: args.method,
+        method: args.method.method,
         backend: tracker.backend_name(),
         results: args.out.clone(),
+        warning,
     };
-    let text = format!(
+    let mut text = format!(
         "{}: {} of {} starts aligned, {} lost; {:.1} iterations on average; method {}, backend {} ({})",
         args.out.display(),
         summary.aligned,
@@ -82,6 +88,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         summary.backend,
         opened.why
     );
+    if let Some(warning) = &summary.warning {
+        text += &format!("\nwarning: {warning}");
+    }
     args.json.write(&text, &summary)
 }
 

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::backend::BackendArgs;
 use super::frames::{self, training_images};
+use super::method::MethodArgs;
 use super::progress;
 use super::summary::JsonArg;
 use super::track::{Outputs, track_scene};
@@ -42,9 +43,8 @@ pub(super) struct Args {
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
-    /// How to align
-    #[arg(long, value_enum, default_value_t)]
-    method: Method,
+    #[command(flatten)]
+    method: MethodArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -126,7 +126,7 @@ fn run_direction(
     let ids = spread(args.frames, TRAINING_IMAGES);
     let mesh = dataset.mesh(1)?;
     let mut options = TrainOptions { modes: args.modes, ..TrainOptions::default() };
-    if args.method.wants_whole_triangles() {
+    if args.method.method.wants_whole_triangles() {
         options.max_edge_px = f64::INFINITY;
     }
     let model = train(&mesh, &training_images(&training_scene, &poses, &truth, &ids)?, &options)?;
@@ -137,7 +137,7 @@ fn run_direction(
     let opened = args.backend.open()?;
     let centre = model.shape.centre;
     let camera = scene.frames[0].camera;
-    let mut tracker = Tracker::new(model, camera, opened.backend, args.method.aligner())?;
+    let mut tracker = Tracker::new(model, camera, opened.backend, args.method.aligner()?)?;
     // A start at the true pose would hide a tracker that does not converge.
     tracker.start_at(disturbed(&frames::pose_of(&poses, scene.frames[0].id, &truth)?, &centre));
     let results = args.out.join(format!("scene-{tracked}.csv"));
@@ -154,7 +154,7 @@ fn run_direction(
     let evaluation = evaluate(&estimates, &poses, &EvalObject::new(&mesh)?, &scene.cameras())?;
     let name =
         format!("{:?}, trained on scene {trained_on}, tracked in scene {tracked}", args.scene).to_lowercase();
-    let method = args.method;
+    let method = args.method.method;
     Ok((SequenceSummary { name, method, backend: tracker.backend_name(), evaluation }, opened.why))
 }
 

@@ -11,6 +11,7 @@ mod frames;
 mod hand_eye;
 mod info;
 mod landmarks;
+mod method;
 mod overlay;
 mod progress;
 mod records;

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::backend::BackendArgs;
 use super::frames::{self, SceneArgs, pose_of};
+use super::method::MethodArgs;
 use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
 use super::summary::JsonArg;
 use super::{overlay, progress};
@@ -38,9 +39,8 @@ pub(super) struct Args {
     /// Also write pictures of the estimated pose
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
-    /// How to align
-    #[arg(long, value_enum, default_value_t)]
-    method: Method,
+    #[command(flatten)]
+    method: MethodArgs,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -70,6 +70,9 @@ struct Summary {
     method: Method,
     backend: String,
     results: PathBuf,
+    /// What the model lacks for the method.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    warning: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -82,9 +85,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let model = Model::load(&args.model)?;
     let (dataset, scene) = args.scene.open()?;
     let poses = dataset.poses(scene.id, model.object_id, &args.init)?;
+    let aligner = args.method.aligner()?;
+    let warning = args.method.misfit(&model);
     let opened = args.backend.open()?;
     let first = &scene.frames[0];
-    let mut tracker = Tracker::new(model, first.camera, opened.backend, args.method.aligner())?;
+    let mut tracker = Tracker::new(model, first.camera, opened.backend, aligner)?;
     tracker.start_at(pose_of(&poses, first.id, &args.init)?);
     let outputs = Outputs {
         results: &args.out,
@@ -97,9 +102,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(path) = &args.tum {
         write_trajectory(path, &estimates)?;
     }
-    let summary = summarise(&estimates, args.method, tracker.backend_name(), args.out.clone());
+    let summary = summarise(&estimates, args.method.method, tracker.backend_name(), args.out.clone());
+    let summary = Summary { warning, ..summary };
     let times = [summary.ms_per_frame.median, summary.ms_per_frame.p95].map(|t| t.unwrap_or(0.0));
-    let text = format!(
+    let mut text = format!(
         "{}: {} of {} frames tracked, {} lost {:?}\nmethod {}, backend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
         args.out.display(),
         summary.tracked,
@@ -112,6 +118,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         times[0],
         times[1],
     );
+    if let Some(warning) = &summary.warning {
+        text += &format!("\nwarning: {warning}");
+    }
     args.json.write(&text, &summary)
 }
 
@@ -179,5 +188,6 @@ fn summarise(estimates: &[Estimate], method: Method, backend: String, results: P
         method,
         backend,
         results,
+        warning: None,
     }
 }

@@ -1,5 +1,7 @@
 //! The 3D shape that is tracked: a mesh cut into small flat triangles, grouped into smooth faces.
 
+use std::collections::HashMap;
+
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
@@ -65,8 +67,40 @@ impl Shape {
         Ok(())
     }
 
+    /// True if a triangle has been cut in two: neighbours whose outer corners have a common corner halfway between them.
+    /// Of the last cut of [`Self::from_mesh`] both pieces are left, so none goes unnoticed.
+    pub fn is_cut(&self) -> bool {
+        let mut opposite = HashMap::new();
+        self.mesh.triangles.iter().any(|t| {
+            (0..3).any(|k| {
+                let (a, b, outer) = (t[k], t[(k + 1) % 3], t[(k + 2) % 3]);
+                let Some(other) = opposite.insert([a.min(b), a.max(b)], outer) else { return false };
+                let [a, b, outer, other] = [a, b, outer, other].map(|v| self.mesh.vertices[v as usize]);
+                let middle = nalgebra::center(&outer, &other);
+                middle == a || middle == b
+            })
+        })
+    }
+
     /// Number of triangles.
     pub fn triangles(&self) -> usize {
         self.mesh.triangles.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cut_shape_knows_it() {
+        let corner = |x: f64, y: f64| Point3::new(x, y, 0.1 * x * y);
+        let vertices = vec![corner(0.0, 0.0), corner(1.0, 0.1), corner(1.1, 0.9), corner(0.1, 1.0)];
+        let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] };
+        let shape = |limit: f64| Shape::from_mesh(&mesh, limit, |a, b| (b - a).norm()).unwrap();
+        assert!(!shape(f64::INFINITY).is_cut(), "as it was");
+        for limit in [1.2, 0.7, 0.3, 0.1] {
+            assert!(shape(limit).is_cut(), "{limit}");
+        }
     }
 }

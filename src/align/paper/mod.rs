@@ -18,12 +18,14 @@ use crate::model::{LevelTemplate, Model};
 use system::{Reference, System};
 
 /// On which side of H the inverse increment goes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
 pub enum Order {
-    /// H <- H(dp)^-1 H, eq. (13) as printed.
+    /// H <- H(dp)^-1 H, eq. (13) as printed
     #[default]
     Left,
-    /// H <- H H(dp)^-1, the one that follows from eq. (11).
+    /// H <- H H(dp)^-1, the one that follows from eq. (11)
     Right,
 }
 

@@ -13,7 +13,7 @@ use super::record::{write_json, write_text};
 use super::sheet::{Kind, Sheet, number};
 use super::starts::{Scene, View, rms_px};
 use super::theme::look;
-use crate::align::{Method, Start};
+use crate::align::{Method, Order, Start};
 use crate::cli::progress;
 use crate::model::Model;
 use crate::track::Tracker;
@@ -62,6 +62,7 @@ pub(super) struct Options<'a> {
     pub(super) seed: u64,
     pub(super) trials: usize,
     pub(super) methods: Vec<Method>,
+    pub(super) order: Order,
     pub(super) engine: &'a Engine,
     pub(super) adapter: Option<&'a str>,
 }
@@ -114,7 +115,7 @@ fn study(
 ) -> anyhow::Result<Vec<Cell>> {
     let modes = model.modes();
     let backend = options.engine.open(options.adapter)?;
-    let mut tracker = Tracker::new(model, scene.camera, backend, patient(method, pyramid))?;
+    let mut tracker = Tracker::new(model, scene.camera, backend, patient(method, options.order, pyramid))?;
     let mut cells = Vec::new();
     for (tilt, views) in views {
         for distance in DISTANCES_PX {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::published::Published;
 use crate::align::{
     Aligner, Edge, EdgeOptions, ForwardAdditive, ForwardOptions, Grouping, InverseCompositional, Method,
-    Options, Paper, PaperOptions,
+    Options, Order, Paper, PaperOptions,
 };
 use crate::backend::{Backend, CpuBackend};
 use crate::train::TrainOptions;
@@ -25,7 +25,7 @@ pub(super) const PATIENT_STEPS: usize = 50;
 
 /// The method with its default choices but for a limit of steps that is out of the way. Without a pyramid gain and bias
 /// are shared per face at full size too: per triangle they are for the last stage only.
-pub(super) fn patient(method: Method, pyramid: bool) -> Box<dyn Aligner> {
+pub(super) fn patient(method: Method, order: Order, pyramid: bool) -> Box<dyn Aligner> {
     let max_iterations = PATIENT_STEPS;
     let full_size_grouping = if pyramid { Grouping::Triangle } else { Grouping::FaceAndView };
     match method {
@@ -34,7 +34,9 @@ pub(super) fn patient(method: Method, pyramid: bool) -> Box<dyn Aligner> {
             full_size_grouping,
             ..Options::default()
         })),
-        Method::Paper => Box::new(Paper::new(PaperOptions { max_iterations, ..PaperOptions::default() })),
+        Method::Paper => {
+            Box::new(Paper::new(PaperOptions { order, max_iterations, ..PaperOptions::default() }))
+        }
         Method::ForwardAdditive => Box::new(ForwardAdditive::new(ForwardOptions {
             max_iterations,
             full_size_grouping,

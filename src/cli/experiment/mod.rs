@@ -25,6 +25,7 @@ use anyhow::Context;
 use clap::ValueEnum;
 use serde::Serialize;
 
+use super::method::OrderArg;
 use super::simulate::Choice;
 use super::summary::JsonArg;
 use crate::align::Method;
@@ -78,6 +79,8 @@ pub(super) struct Args {
     /// Methods to compare; all if not given
     #[arg(long, value_enum, value_name = "LIST", value_delimiter = ',')]
     methods: Vec<Method>,
+    #[command(flatten)]
+    order: OrderArg,
     /// Where the image work is done
     #[arg(long, value_enum, default_value = "both")]
     backend: BackendChoice,
@@ -109,8 +112,8 @@ impl Args {
         Method::ALL.into_iter().filter(wanted).collect()
     }
 
-    fn options(&self) -> Options {
-        Options {
+    fn options(&self) -> anyhow::Result<Options> {
+        Ok(Options {
             scene: self.scene,
             frames: self.frames,
             seed: self.seed,
@@ -119,7 +122,8 @@ impl Args {
             click_noise_px: self.click_noise,
             methods: self.methods(),
             backend: self.backend,
-        }
+            paper_order: self.order.among(&self.methods())?,
+        })
     }
 }
 
@@ -156,6 +160,7 @@ fn study_basin(args: &Args) -> anyhow::Result<Basin> {
         seed: args.seed,
         trials: args.trials,
         methods: args.methods(),
+        order: args.order.among(&args.methods())?,
         engine,
         adapter: args.adapter.as_deref(),
     })
@@ -180,7 +185,7 @@ fn claim(out: &Path) -> anyhow::Result<()> {
 /// Runs every method on every backend through both sequences; what is finished is on disk.
 fn sequences(args: &Args, basin: Option<&Basin>) -> anyhow::Result<Report> {
     let began = Instant::now();
-    let options = args.options();
+    let options = args.options()?;
     let backends = engines(options.backend, args.adapter.as_deref())?;
     let cases = cases::prepare(&args.out, &options)?;
     cases.iter().try_for_each(|case| draw_template(&args.out, case))?;
@@ -203,7 +208,15 @@ fn sequences(args: &Args, basin: Option<&Basin>) -> anyhow::Result<Report> {
                 let label =
                     format!("{}/{total} sequence {number}, {name}, {}", report.runs.len() + 1, engine.name);
                 let adapter = args.adapter.as_deref();
-                let plan = Plan { case, method, engine, adapter, out: &args.out, label };
+                let plan = Plan {
+                    case,
+                    method,
+                    order: report.options.paper_order,
+                    engine,
+                    adapter,
+                    out: &args.out,
+                    label,
+                };
                 let run =
                     plan.run().with_context(|| format!("sequence {number}, {name}, {}", engine.name))?;
                 report.runs.push(run);

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::methods::{BackendChoice, Engine};
 use super::published::Published;
-use crate::align::Method;
+use crate::align::{Method, Order};
 use crate::cli::simulate::Choice;
 use crate::dataset::write_atomically;
 use crate::eval::{ErrorStatistics, Evaluation};
@@ -44,6 +44,9 @@ pub(super) struct Options {
     pub(super) click_noise_px: f64,
     pub(super) methods: Vec<Method>,
     pub(super) backend: BackendChoice,
+    /// Of the method `paper`.
+    #[serde(default)]
+    pub(super) paper_order: Order,
 }
 
 /// One of the two sequences and the model it is tracked with.

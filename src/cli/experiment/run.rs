@@ -7,7 +7,8 @@ use super::methods::{Engine, counterpart};
 use super::motion;
 use super::published;
 use super::record::{Below, FrameError, Run};
-use crate::align::Method;
+use crate::align::{Method, Order};
+use crate::cli::method::aligner;
 use crate::cli::track::{Outputs, track_scene};
 use crate::eval::frames::frame_errors;
 use crate::eval::{Estimate, evaluate};
@@ -20,6 +21,7 @@ const OVERLAYS: usize = 3;
 pub(super) struct Plan<'a> {
     pub(super) case: &'a Case,
     pub(super) method: Method,
+    pub(super) order: Order,
     pub(super) engine: &'a Engine,
     pub(super) adapter: Option<&'a str>,
     pub(super) out: &'a Path,
@@ -39,7 +41,7 @@ impl Plan<'_> {
         let backend = self.engine.open(self.adapter)?;
         let camera = scene.frames[0].camera;
         let mut tracker =
-            Tracker::new(models.of(self.method).clone(), camera, backend, self.method.aligner())?;
+            Tracker::new(models.of(self.method).clone(), camera, backend, aligner(self.method, self.order))?;
         tracker.start_at(*start);
         let results = self.out.join("runs").join(format!("{}.csv", self.name()));
         let details = results.with_extension("jsonl");
