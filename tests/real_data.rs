@@ -1,10 +1,9 @@
-//! Reads and tracks the real development sequences, where they are present: `AAM6D_DATA`, or `../shared/data` beside the
-//! repository. Without them every case is shown as ignored.
+//! Reads and tracks the real development sequences, where they are present (see `support/data.rs`).
 
 mod support;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use aam6d::backend::Backend;
 use aam6d::dataset::{Dataset, FrameInfo, PoseSource, ResultRow, results};
@@ -12,18 +11,16 @@ use aam6d::eval::{Estimate, EvalObject, Evaluation, evaluate};
 use aam6d::imaging::gray;
 use aam6d::track::Tracked;
 use aam6d::train::{TrainOptions, TrainingImage, train};
-use libtest_mimic::{Arguments, Failed, Trial};
+use libtest_mimic::Failed;
+use support::data::{self, check};
 use support::tracking::{cpu, estimate, say, track, tracker};
-
-/// A case gets the folder of the data sets.
-type Case = fn(&Path) -> Result<(), Failed>;
 
 /// The goals for tracking against the reference, which was computed from the same images: corners in pixels (median
 /// and 95 %), motion since frame 0 in millimetres and degrees (medians).
 const CORNER_PX: [f64; 2] = [0.4, 0.6];
 const MOTION: [f64; 2] = [0.4, 0.12];
 
-const CASES: [(&str, Case); 7] = [
+const CASES: [(&str, data::Case); 7] = [
     ("teabox", teabox),
     ("teabox_stereo", teabox_stereo),
     ("franka_chessboard", franka_chessboard),
@@ -34,22 +31,15 @@ const CASES: [(&str, Case); 7] = [
 ];
 
 fn main() {
-    let folder = std::env::var_os("AAM6D_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let absent = !folder.is_dir();
-    let trial = |(name, case): (&str, Case)| {
-        let folder = folder.clone();
-        Trial::test(name, move || case(&folder)).with_ignored_flag(absent)
-    };
-    let mut trials: Vec<Trial> = CASES.into_iter().map(trial).collect();
+    let mut trials: Vec<_> = CASES.iter().map(|&(name, case)| data::trial(name, case)).collect();
     #[cfg(feature = "gpu")]
-    trials
-        .push(support::gpu::trial_unless(absent, "track_teabox_alike", move || track_teabox_alike(&folder)));
-    libtest_mimic::run(&Arguments::from_args(), trials).exit();
-}
-
-fn check(condition: bool, message: impl Into<String>) -> Result<(), Failed> {
-    if condition { Ok(()) } else { Err(message.into().into()) }
+    {
+        let (folder, absent) = data::folder();
+        trials.push(support::gpu::trial_unless(absent, "track_teabox_alike", move || {
+            track_teabox_alike(&folder)
+        }));
+    }
+    data::main(trials);
 }
 
 /// Opens a scene, reads all its images, and returns how many frames it has.
