@@ -31,7 +31,7 @@ const CASES: [(&str, data::Case); 2] =
 const STEREO_MM: f64 = 2.8;
 
 /// Frames that show the landmarks once more; the first one is where they are clicked.
-const MORE_FRAMES: [usize; 3] = [20, 40, 60];
+const MORE_FRAMES: [usize; 6] = [20, 40, 60, 80, 100, 120];
 
 fn main() {
     data::main(CASES.map(|(name, case)| data::trial(name, case)).into());
@@ -161,7 +161,8 @@ impl Track {
         Ok((poses, tracked))
     }
 
-    /// Median error of the motion since frame 0, mm and degrees, against the joint reference; the poses times `scale`.
+    /// Median error of the motion since frame 0, mm and degrees, against the reference of both cameras; the translations of
+    /// the poses are multiplied by `scale`.
     fn judge(&self, what: &str, poses: &[Pose], scale: f64) -> [f64; 2] {
         let scaled = |p: &Pose| Pose::from_quaternion(p.quaternion(), p.translation() * scale);
         let mut found = Vec::new();
@@ -221,7 +222,9 @@ impl Track {
 
 /// Landmarks by stereo in the first pair, a model of that one frame, 121 frames of the left camera.
 ///
-/// The goal of 0.5 mm is not reached; the limit here only guards against worse.
+/// The goal of 0.5 mm is not reached in the scale of the stereo pair (2.4 mm as clicked, 2.2 mm refined over seven frames);
+/// the limit here only guards against worse. Most of it is the scale: in that of the reference 1.1 mm are left, and 0.3 mm
+/// against the reference of the left camera alone. The scale is for telling the parts apart, no model is trained with it.
 fn teabox_stereo_landmarks(folder: &Path) -> Result<(), Failed> {
     let folder = folder.join("teabox_stereo");
     let dataset = Dataset::open(&folder)?;

@@ -66,6 +66,8 @@ struct SequenceSummary {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    // A wrong choice is named before anything is removed or rendered.
+    args.method.aligner()?;
     clear(&args.out)?;
     let data = args.out.join("data");
     let options = SequenceOptions {

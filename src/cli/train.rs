@@ -182,7 +182,6 @@ impl Args {
             max_distance_px: self.max_annotation_error,
             sigma_px: annotations_file.sigma_px.unwrap_or(default.sigma_px),
             refine: !self.no_refine,
-            mesh_view: None,
         };
         let posed =
             annotated::pose(&shape, images, &options).with_context(|| annotations.display().to_string())?;

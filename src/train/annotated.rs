@@ -1,7 +1,7 @@
 //! Annotated training (section 2 of the paper): images whose landmarks are marked, and no poses.
 //!
 //! The pose of every image follows from its landmarks; then poses and landmarks are refined together. The mesh is the
-//! Delaunay triangulation of the landmarks in the view of the clicks, or the image that sees the shape most frontally. Training goes on as with
+//! Delaunay triangulation of the landmarks in the image that sees the shape most frontally. Training goes on as with
 //! posed images.
 
 use image::GrayImage;
@@ -40,14 +40,11 @@ pub struct AnnotationOptions {
     pub sigma_px: f64,
     /// Refine the landmarks with the poses; those without covariance stay.
     pub refine: bool,
-    /// The view in which the landmarks are joined to triangles, with its `camera_from_object`: that of the clicks, if it is
-    /// known, else the annotated image that sees the landmarks most frontally.
-    pub mesh_view: Option<(Camera, Pose)>,
 }
 
 impl Default for AnnotationOptions {
     fn default() -> Self {
-        Self { max_distance_px: 10.0, sigma_px: 0.3, refine: true, mesh_view: None }
+        Self { max_distance_px: 10.0, sigma_px: 0.3, refine: true }
     }
 }
 
@@ -73,7 +70,7 @@ pub struct Posed {
     pub refinement: Option<Refinement>,
     /// The landmarks' mesh.
     pub mesh: TriangleMesh,
-    /// Index of the image that sees the landmarks most frontally.
+    /// Index of the image in which the landmarks were triangulated.
     pub reference: usize,
 }
 
@@ -102,8 +99,7 @@ pub fn pose(
     let Some(reference) = most_frontal(&shape, &views) else {
         return Err(Error::invalid("training", "there is no annotated image", "annotate at least one"));
     };
-    let (camera, view) = options.mesh_view.unwrap_or((images[reference].camera, views[reference]));
-    let mesh = landmark_mesh(&shape, &camera.rectified(), &view)?;
+    let mesh = landmark_mesh(&shape, &images[reference].camera.rectified(), &views[reference])?;
     let posed = |(image, camera_from_object): (AnnotatedImage, Pose)| TrainingImage {
         image: image.image,
         camera: image.camera.rectified(),
@@ -217,7 +213,7 @@ mod tests {
     use nalgebra::Rotation3;
 
     const OPTIONS: AnnotationOptions =
-        AnnotationOptions { max_distance_px: 5.0, sigma_px: 0.3, refine: true, mesh_view: None };
+        AnnotationOptions { max_distance_px: 5.0, sigma_px: 0.3, refine: true };
 
     /// The relief's landmarks, exact.
     fn shape() -> Vec<Landmark> {

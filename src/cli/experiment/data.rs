@@ -13,9 +13,9 @@ use crate::cli::simulate::Choice;
 use crate::dataset::landmarks::{read_annotations, read_landmarks};
 use crate::dataset::stereo::{read_clicks, read_stereo};
 use crate::dataset::{Landmark, PoseSource};
+use crate::geometry::TriangleMesh;
 use crate::geometry::rigid_fit::rigid_fit;
 use crate::geometry::stereo::ClickOptions;
-use crate::geometry::{Camera, Pose, TriangleMesh};
 use crate::simulate::{CellOptions, SceneKind, SequenceOptions, write_cell, write_dataset};
 use crate::track::realign::{REALIGNMENTS, train_realigned};
 use crate::train::annotated::{self, AnnotationOptions};
@@ -110,26 +110,20 @@ pub(super) fn training(
         return Ok((dataset.mesh(1)?, images));
     }
     let annotations = read_annotations(&scene.folder.join("annotations.json"))?;
-    let (landmarks, clicked_in) = clicked_landmarks(data)?;
-    let shape = annotations.shape(&landmarks)?;
+    let shape = annotations.shape(&clicked_landmarks(data)?)?;
     let ids: Vec<u32> = annotations.frames.keys().copied().collect();
     let images = annotated_images(&scene, &annotations, &ids)?;
     let default = AnnotationOptions::default();
     let sigma_px = annotations.sigma_px.unwrap_or(default.sigma_px).max(1e-3);
-    let noise = AnnotationOptions {
-        max_distance_px: MAX_ANNOTATION_PX,
-        sigma_px,
-        mesh_view: Some(clicked_in),
-        ..default
-    };
+    let noise = AnnotationOptions { max_distance_px: MAX_ANNOTATION_PX, sigma_px, ..default };
     let posed = annotated::pose(&shape, images, &noise)?;
     let realigned = train_realigned(&posed.mesh, posed.images, &TrainOptions::default(), REALIGNMENTS)?;
     Ok((posed.mesh, realigned.images))
 }
 
 /// Landmarks triangulated from the clicks of the stereo pair, moved rigidly into the object's frame, so that poses can
-/// be compared with the truth; and the left view, in that frame.
-fn clicked_landmarks(data: &Path) -> anyhow::Result<(Vec<Landmark>, (Camera, Pose))> {
+/// be compared with the truth.
+fn clicked_landmarks(data: &Path) -> anyhow::Result<Vec<Landmark>> {
     let rig = read_stereo(&data.join("stereo.json"))?.rig;
     let clicks = read_clicks(&data.join("clicks.json"))?;
     // Clicks of a noise above the usual one are what was asked for: only gross mistakes are refused.
@@ -154,8 +148,7 @@ fn clicked_landmarks(data: &Path) -> anyhow::Result<(Vec<Landmark>, (Camera, Pos
                 covariance: turn * point.covariance * turn.transpose(),
             }
         };
-    let landmarks = clicks.pairs.iter().zip(&points).map(landmark).collect();
-    Ok((landmarks, (rig.left, object_from_camera.inverse())))
+    Ok(clicks.pairs.iter().zip(&points).map(landmark).collect())
 }
 
 /// Frame numbers spread over `0..frames`, first and last included.
