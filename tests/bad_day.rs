@@ -120,6 +120,14 @@ fn light_that_the_model_never_saw() {
     LIT_ANEW.check_bound(6.0);
 }
 
+/// About a tenth of the relief and a quarter of the box are white.
+#[test]
+fn too_much_light() {
+    let bright = |options| SequenceOptions { exposure: 1.7, frames: 30, ..options };
+    Case::new("overexposed relief", bright(relief()), &RELIEF_MODEL, 1).check(0.06);
+    Case::new("overexposed box", bright(textured_box()), &BOX_MODEL, 1).check(0.1);
+}
+
 #[test]
 fn a_fifth_of_the_object_covered() {
     COVERED_20.check(0.04);
