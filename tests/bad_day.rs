@@ -108,6 +108,17 @@ static COVERED_40: LazyLock<Case> = LazyLock::new(|| {
     Case::new("relief, 40 % covered", SequenceOptions { occlusion: 0.4, ..relief() }, &RELIEF_MODEL, 1)
 });
 
+static BOX: LazyLock<Case> = LazyLock::new(|| Case::new("box", textured_box(), &BOX_MODEL, 1));
+
+static LIT_BOX: LazyLock<Case> = LazyLock::new(|| {
+    let options = SequenceOptions { light: true, ..textured_box() };
+    Case::new("box in light that the model never saw", options, &BOX_MODEL, 1)
+});
+
+static COVERED_BOX: LazyLock<Case> = LazyLock::new(|| {
+    Case::new("box, 30 % covered", SequenceOptions { occlusion: 0.3, ..textured_box() }, &BOX_MODEL, 1)
+});
+
 #[test]
 fn light_that_changes() {
     LIT.check(0.06);
@@ -162,19 +173,16 @@ fn what_guards_against_occluders_costs_nothing_without_one() {
 
 #[test]
 fn three_tenths_of_the_box_covered() {
-    let case =
-        Case::new("box, 30 % covered", SequenceOptions { occlusion: 0.3, ..textured_box() }, &BOX_MODEL, 1);
-    case.check(0.3);
-    assert!(case.day.p95_px() <= 0.8, "{} px", case.day.p95_px());
+    COVERED_BOX.check(0.3);
+    let p95 = COVERED_BOX.day.p95_px();
+    assert!(p95 <= 0.8, "{p95} px");
 }
 
-/// The model is trained on images as blurred and noisy as those it is to follow.
+/// The model is trained on sharp images.
 #[test]
 fn a_blurred_and_noisy_box() {
     let options = SequenceOptions { blur: 1.5, noise: 10.0, ..textured_box() };
-    let training = Sequence::new(options).expect("good options");
-    let model = trained(&training, &[0, 119], &TrainOptions::default());
-    let case = Case::new("box, blur 1.5 px, noise 10", options, &model, 1);
+    let case = Case::new("box, blur 1.5 px, noise 10", options, &BOX_MODEL, 1);
     case.check(0.4);
     let median = case.day.median_mm(&case.sequence);
     assert!(median <= 0.15, "{median} mm");
@@ -205,10 +213,12 @@ fn dropped_frames() {
     }
 }
 
-/// The mean over unlit, lit and covered sequences.
+/// The mean over unlit, lit and covered sequences of both objects. Models of few views alone are above it
+/// (`docs/maths.md`, "Covariance").
 #[test]
 fn the_covariance_tells_the_truth() {
-    let cases = [&UNLIT, &LIT, &LIT_ANEW, &COVERED_20, &COVERED_40].map(|c| c.day.consistency());
+    let cases = [&UNLIT, &LIT, &LIT_ANEW, &COVERED_20, &COVERED_40, &BOX, &LIT_BOX, &COVERED_BOX]
+        .map(|c| c.day.consistency());
     #[expect(clippy::cast_precision_loss, reason = "a handful")]
     let mean = cases.iter().sum::<f64>() / cases.len() as f64;
     say(format_args!("normalised error squared: {mean:.2}, mean of {cases:.2?}"));
