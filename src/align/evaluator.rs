@@ -13,11 +13,15 @@ use crate::backend::{Backend, Linearization, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::geometry::raster::{facing, visible_shares};
-use crate::geometry::warp::homography;
+use crate::geometry::warp::{affine, homography};
 use crate::model::Model;
 
 /// Triangles seen more obliquely than this cosine are left out.
 const MIN_COSINE: f64 = 0.06;
+/// Triangles whose chart the image shows more compressed in one direction than in the other by this factor are left out:
+/// their chart keeps its distance from the border of the face in pixels of the chart, which in the image is then less
+/// than the width of a pixel that mixes the face with what lies behind.
+const MIN_ASPECT: f64 = 0.25;
 /// Visibility is judged on an image of this pyramid level.
 const VISIBILITY_LEVEL: usize = 2;
 /// Triangles with less than this share free of occlusion by the object itself are left out.
@@ -116,15 +120,33 @@ pub(super) fn scores<'s>(
     Ok(states.enumerate().map(score).collect())
 }
 
-/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden.
+/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden or much
+/// compressed.
 pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
     let mesh = &target.model.shape.mesh;
     let shares = visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose);
     let keep = |(t, share): (usize, f64)| {
         let seen = share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        if seen { share } else { 0.0 }
+        if seen && aspect(target, pose, t) >= MIN_ASPECT { share } else { 0.0 }
     };
     shares.into_iter().enumerate().map(keep).collect()
+}
+
+/// Scale of the warp from a triangle's chart to the image in its worst direction, in units of that in its best one (0..1);
+/// 0 without a chart or behind the camera.
+fn aspect(target: &Target<'_>, pose: &Pose, triangle: usize) -> f64 {
+    let affine = || {
+        let geometry = target.model.levels[0].geometry[triangle].as_ref()?;
+        let mut projected = geometry.corners;
+        for (corner, x) in projected.iter_mut().zip(&geometry.points) {
+            *corner = target.camera.project(&pose.transform_point(x))?;
+        }
+        affine(&geometry.corners, &projected)
+    };
+    affine().map_or(0.0, |a| {
+        let scales = a.fixed_view::<2, 2>(0, 0).singular_values();
+        scales.min() / scales.max()
+    })
 }
 
 /// Runs the stages for many states of one level, with the perspective-exact warp.

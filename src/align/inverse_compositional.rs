@@ -10,8 +10,8 @@ use crate::backend::Backend;
 use crate::error::Result;
 use crate::model::Model;
 
-/// Triangle weights act from this level down: on coarser ones they cost reach and spare nothing that finer levels
-/// would not.
+/// Triangle weights act from this level down: on coarser ones they cost reach. Only where the object is not found
+/// without them they act on all levels.
 const COARSEST_ROBUST: usize = 1;
 
 /// Choices of the method.
@@ -55,28 +55,41 @@ impl InverseCompositional {
         Self { options }
     }
 
-    fn settings(&self, level: usize, robust: bool) -> Settings {
+    fn settings(&self, level: usize, robust: Option<usize>) -> Settings {
         let stop_px =
             self.options.stop_px.get(level).or(self.options.stop_px.last()).copied().unwrap_or(0.01);
         Settings {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
-            redescent: (robust && level <= COARSEST_ROBUST).then_some(Redescent::DEFAULT),
+            redescent: robust.filter(|coarsest| level <= *coarsest).map(|_| Redescent::DEFAULT),
         }
+    }
+
+    /// Picks up predictions, with triangle weights from level `robust_from` down.
+    fn tracked(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        robust_from: usize,
+        starts: &[Start],
+    ) -> Result<Vec<PoseEstimate>> {
+        let (levels, robust) = (tracked_levels(target.model), self.options.robust.then_some(robust_from));
+        let descents = self.coarse_to_fine(backend, target, levels, robust, states_of(starts))?;
+        finish(backend, target, descents.into_iter().map(End::from).collect())
     }
 
     pub(super) fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
         LevelProblem::new(target, level, self.options.full_size_grouping)
     }
 
-    /// Descends from level to level; all states in step.
+    /// Descends from level to level, with triangle weights from level `robust` down; all states in step.
     pub(super) fn coarse_to_fine(
         &self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         levels: impl Iterator<Item = usize>,
-        robust: bool,
+        robust: Option<usize>,
         mut states: Vec<State>,
     ) -> Result<Vec<Descended>> {
         let mut totals = vec![(0, true); states.len()];
@@ -98,7 +111,7 @@ impl InverseCompositional {
         backend: &mut dyn Backend,
         target: &Target<'_>,
         level: usize,
-        robust: bool,
+        robust: Option<usize>,
         states: Vec<State>,
     ) -> Result<Vec<Descent>> {
         let problem = self.problem(target, level);
@@ -157,10 +170,22 @@ impl Aligner for InverseCompositional {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>> {
         check(target, starts)?;
-        let levels = tracked_levels(target.model);
-        let descents =
-            self.coarse_to_fine(backend, target, levels, self.options.robust, states_of(starts))?;
-        finish(backend, target, descents.into_iter().map(End::from).collect())
+        let mut estimates = self.tracked(backend, target, COARSEST_ROBUST, starts)?;
+        let lost: Vec<usize> = (0..starts.len()).filter(|&i| estimates[i].score.is_lost()).collect();
+        if lost.is_empty() || !self.options.robust {
+            return Ok(estimates);
+        }
+        // What covers much of the object leads a descent astray that trusts everything on its coarse levels.
+        let again: Vec<Start> = lost.iter().map(|&i| starts[i].clone()).collect();
+        let guarded = self.tracked(backend, target, usize::MAX, &again)?;
+        for (i, guarded) in lost.into_iter().zip(guarded) {
+            let iterations = estimates[i].iterations + guarded.iterations;
+            if guarded.score.correlation > estimates[i].score.correlation {
+                estimates[i] = guarded;
+            }
+            estimates[i].iterations = iterations;
+        }
+        Ok(estimates)
     }
 
     fn search(

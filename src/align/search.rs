@@ -35,7 +35,7 @@ impl InverseCompositional {
         let states = self.promising(backend, target, around, coarsest)?;
         // Occlusion is the business of full size: robust weights on coarse levels cost reach.
         let finest = 1.min(coarsest);
-        let descents = self.coarse_to_fine(backend, target, (finest..=coarsest).rev(), false, states)?;
+        let descents = self.coarse_to_fine(backend, target, (finest..=coarsest).rev(), None, states)?;
         let problem = self.problem(target, finest);
         let row_len = Sums::row_len(target.model.modes());
         let misfit = |d: &super::inverse_compositional::Descended| {
@@ -45,7 +45,7 @@ impl InverseCompositional {
         let best = descents.iter().min_by(|a, b| misfit(a).total_cmp(&misfit(b)));
         let state =
             best.map_or_else(|| state_at(around, around.camera_from_object), |d| d.last.state.clone());
-        let end = self.coarse_to_fine(backend, target, (0..=finest).rev(), true, vec![state])?;
+        let end = self.coarse_to_fine(backend, target, (0..=finest).rev(), Some(finest), vec![state])?;
         Ok(finish(backend, target, end.into_iter().map(End::from).collect())?.remove(0))
     }
 

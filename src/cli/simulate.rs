@@ -39,6 +39,9 @@ pub(super) struct Args {
     /// Let exposure and direction of light change
     #[arg(long)]
     light: bool,
+    /// Factor on all light, 0.1 to 10; from about 1.1 on bright parts saturate
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    exposure: f64,
     /// Share of the object behind a moving occluder, 0 to 0.6
     #[arg(long, value_name = "F", default_value_t = 0.0)]
     occlusion: f64,
@@ -83,6 +86,7 @@ impl Args {
             frames: self.frames,
             seed: self.seed,
             light: self.light,
+            exposure: self.exposure,
             occlusion: self.occlusion,
             noise: self.noise,
             blur: self.blur,
@@ -95,8 +99,8 @@ impl Args {
             anyhow::bail!("--kinematic-noise takes two numbers, e.g. 1,0.05 for 1 mm and 0.05 degrees");
         };
         anyhow::ensure!(
-            self.occlusion == 0.0 && self.blur == 0.0,
-            "--occlusion and --blur are not for the cell; use another --scene"
+            self.occlusion == 0.0 && self.blur == 0.0 && self.exposure == 1.0,
+            "--occlusion, --blur and --exposure are not for the cell; use another --scene"
         );
         Ok(CellOptions {
             frames: self.frames,

@@ -65,6 +65,8 @@ pub struct SequenceOptions {
     pub sequence: u32,
     /// Changing exposure and direction of light.
     pub light: bool,
+    /// Factor on all light, 0.1 to 10; from about 1.1 on bright parts saturate.
+    pub exposure: f64,
     /// Share of the object's visible area behind a moving occluder, 0 to 0.6.
     pub occlusion: f64,
     /// Standard deviation of the noise, grey levels of 255, 0 to 50.
@@ -83,6 +85,7 @@ impl Default for SequenceOptions {
             seed: 1,
             sequence: 1,
             light: false,
+            exposure: 1.0,
             occlusion: 0.0,
             noise: 2.0,
             blur: 0.0,
@@ -105,6 +108,9 @@ impl SequenceOptions {
         }
         if !(1..=2).contains(&self.sequence) {
             return refuse("sequence", self.sequence.to_string(), "1 or 2");
+        }
+        if !(0.1..=10.0).contains(&self.exposure) {
+            return refuse("exposure", self.exposure.to_string(), "a factor from 0.1 to 10");
         }
         if !(0.0..=0.6).contains(&self.occlusion) {
             return refuse("occlusion", self.occlusion.to_string(), "a share from 0 to 0.6");
@@ -199,6 +205,7 @@ impl Sequence {
             frame: u64::from(self.options.sequence) << 32 | frame as u64,
         });
         let light = if self.options.light { self.light.at(k) } else { Light::default() };
+        let light = Light { gain: light.gain * self.options.exposure, ..light };
         View { pose: self.pose(frame), light, occluder, blur: self.options.blur, noise }
     }
 

@@ -3,6 +3,7 @@
 #![allow(dead_code, unused_imports, reason = "every test program uses its own part")]
 
 pub(crate) mod data;
+pub(crate) mod day;
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod linear;
