@@ -21,6 +21,10 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const WARM_UP: usize = 4;
 const COUNTED: usize = 20;
 
+/// Bytes that one more stream may take on the host. It has its own frame (three times its size: pyramid and pairs),
+/// depth buffer and sums, and no copy of the model.
+const MOST_PER_STREAM: usize = 2_800_000;
+
 /// Tracks all frames, or copies of them; returns how often memory was asked for, or more of it, after the warm-up.
 fn allocations(
     sequence: &Sequence,
@@ -49,8 +53,34 @@ fn allocations(
     change.allocations + change.reallocations
 }
 
+/// Bytes that a tracker takes, with its model, and what one more stream of the same object takes, frame included.
+fn bytes_of_streams(sequence: &Sequence, image: &GrayImage) -> [usize; 2] {
+    let model = trained(sequence, &sixteen(), &TrainOptions { modes: 4, ..TrainOptions::default() });
+    let region = Region::new(ALLOCATOR);
+    let held = |region: &Region<'_, System>| {
+        let change = region.change();
+        change.bytes_allocated.saturating_sub(change.bytes_deallocated)
+    };
+    let aligner = Method::default().aligner();
+    let mut first =
+        Tracker::new(model, *sequence.camera(), Box::new(CpuBackend::new()), aligner).expect("a good model");
+    let model = held(&region);
+    let mut more: Vec<Tracker> = (0..8).map(|_| first.another().expect("shared")).collect();
+    let before = held(&region);
+    for tracker in more.iter_mut().chain([&mut first]) {
+        tracker.start_at(sequence.pose(0));
+        assert_eq!(tracker.track(image).expect("a good frame").status, Status::Tracking, "in view");
+    }
+    [model, (held(&region) - before) / 9 + (before - model) / 8]
+}
+
 #[test]
 fn a_tracked_frame_allocates_nothing() {
+    let relief = sequence(SceneKind::Relief, 1, 2.0);
+    let [model, stream] = bytes_of_streams(&relief, &relief.image(0));
+    say(format_args!("{model} bytes for a model, {stream} for every further stream"));
+    assert!(stream < MOST_PER_STREAM, "{stream} bytes per stream");
+
     for (modes, kind) in [(0, SceneKind::Relief), (4, SceneKind::Relief), (0, SceneKind::Box)] {
         let options = SequenceOptions { light: modes > 0, ..*sequence(kind, 1, 2.0).options() };
         let sequence = Sequence::new(options).expect("good options");

@@ -1,5 +1,7 @@
 //! What the methods share: checks of the starts, visibility, calls of the backend, and the estimate at the end.
 
+use std::time::Instant;
+
 use nalgebra::Matrix3;
 
 use super::covariance::covariance;
@@ -150,6 +152,8 @@ pub(super) struct Evaluation {
     out: Linearization,
     warps: Vec<TriangleWarp>,
     appearance: Vec<f32>,
+    /// Wall time spent in the backend, milliseconds.
+    pub(super) spent_ms: f64,
 }
 
 /// Runs the stages for many states of one level, with the perspective-exact warp.
@@ -176,8 +180,12 @@ impl<'a> Evaluator<'a> {
         states: impl Iterator<Item = (&'s State, &'s [f64])>,
     ) -> Result<()> {
         let items = self.encode(states);
-        let Evaluation { out, warps, appearance } = &mut *self.memory;
-        self.backend.accumulate(&request(self.target, self.problem, items, warps, appearance), &mut out.sums)
+        let began = Instant::now();
+        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
+        let request = request(self.target, self.problem, items, warps, appearance);
+        self.backend.accumulate(&request, &mut out.sums)?;
+        *spent_ms += ms_since(began);
+        Ok(())
     }
 
     /// Stage `linearize`.
@@ -186,8 +194,12 @@ impl<'a> Evaluator<'a> {
         states: impl Iterator<Item = (&'s State, &'s [f64])>,
     ) -> Result<()> {
         let items = self.encode(states);
-        let Evaluation { out, warps, appearance } = &mut *self.memory;
-        self.backend.linearize(&request(self.target, self.problem, items, warps, appearance), out)
+        let began = Instant::now();
+        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
+        let request = request(self.target, self.problem, items, warps, appearance);
+        self.backend.linearize(&request, out)?;
+        *spent_ms += ms_since(began);
+        Ok(())
     }
 
     /// Fills warps and appearance; returns the number of states.
@@ -238,4 +250,8 @@ fn request<'r>(
 #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
 pub(super) fn narrow(x: f64) -> f32 {
     x as f32
+}
+
+pub(super) fn ms_since(began: Instant) -> f64 {
+    began.elapsed().as_secs_f64() * 1e3
 }

@@ -149,6 +149,10 @@ impl Aligner for ForwardAdditive {
         model.levels.len()
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
+    }
+
     fn align(
         &mut self,
         backend: &mut dyn Backend,

@@ -1,11 +1,13 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
-use super::evaluator::{Evaluator, check, look_at, tracked_levels};
+use std::time::Instant;
+
+use super::evaluator::{Evaluator, check, look_at, ms_since, tracked_levels};
 use super::levenberg_marquardt::{Descent, Settings};
 use super::normal_equations::LevelProblem;
 use super::robust::Redescent;
 use super::workspace::Workspace;
-use super::{Aligner, PoseEstimate, Start, Target};
+use super::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::model::{Grouping, Model};
@@ -97,10 +99,12 @@ impl InverseCompositional {
     ) -> Result<()> {
         let problem = self.problem(target, level);
         let settings = self.settings(level, robust);
-        let Workspace { descents, evaluation, zbuffer, scratch } = work;
+        let Workspace { descents, evaluation, zbuffer, scratch, times } = work;
+        let began = Instant::now();
         for descent in descents.iter_mut() {
             look_at(target, &descent.state.pose, zbuffer, &mut descent.visibility);
         }
+        times.visibility_ms += ms_since(began);
         let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
         evaluator.evaluate(descents.iter().map(|d| (&d.state, &*d.visibility)))?;
         for (i, descent) in descents.iter_mut().enumerate() {
@@ -129,6 +133,14 @@ impl Aligner for InverseCompositional {
         model.levels.len()
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(Self::new(self.options.clone()))
+    }
+
+    fn times(&self) -> AlignTimes {
+        self.work.times
+    }
+
     fn align(
         &mut self,
         backend: &mut dyn Backend,
@@ -137,10 +149,14 @@ impl Aligner for InverseCompositional {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         check(target, starts)?;
+        let began = Instant::now();
         let mut work = std::mem::take(&mut self.work);
         work.begin(starts);
-        self.coarse_to_fine(backend, target, tracked_levels(target.model), self.options.robust, &mut work)?;
+        let levels = tracked_levels(target.model);
+        let aligned = self.coarse_to_fine(backend, target, levels, self.options.robust, &mut work);
         self.work = work;
+        aligned?;
+        self.work.end_times(began);
         self.work.finish(backend, target, estimates)
     }
 

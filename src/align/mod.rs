@@ -79,6 +79,19 @@ pub struct PoseEstimate {
     pub score: Score,
 }
 
+/// Where the time of an alignment went: wall time, milliseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct AlignTimes {
+    /// What hides what, on the host.
+    pub visibility_ms: f64,
+    /// Work of the backend on the pixels, waiting included.
+    pub accumulate_ms: f64,
+    /// Weights, equations and steps, on the host.
+    pub solve_ms: f64,
+    /// Score and covariance of the estimate, the backend's part included.
+    pub score_ms: f64,
+}
+
 /// Aligns a model with the current frame of a backend. An aligner may keep memory between frames, but no results.
 pub trait Aligner: Send {
     /// Pyramid levels the frame must have.
@@ -91,6 +104,14 @@ pub trait Aligner: Send {
     /// Those of [`Backend::load`], and [`crate::Error::Invalid`] if the model is of no use to the method.
     fn prepare(&mut self, _backend: &mut dyn Backend, _model: &Model, _id: ModelId) -> Result<()> {
         Ok(())
+    }
+
+    /// An aligner with the same choices, ready for the same models, for another stream.
+    fn another(&self) -> Box<dyn Aligner>;
+
+    /// Where the time of the last [`Self::align`] went; zero where a method does not measure it.
+    fn times(&self) -> AlignTimes {
+        AlignTimes::default()
     }
 
     /// Aligns every start on its own; estimates come in the order of the starts, in the memory of those that

@@ -1,12 +1,14 @@
 //! Memory that is kept from frame to frame: after the first frames of a track nothing is allocated any more.
 
+use std::time::Instant;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::derivative::TrianglePart;
-use super::evaluator::{Evaluation, finish};
+use super::evaluator::{Evaluation, finish, ms_since};
 use super::levenberg_marquardt::Descent;
 use super::photometric::Solution;
-use super::{PoseEstimate, Start, Target};
+use super::{AlignTimes, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::geometry::raster::ZBuffer;
@@ -18,15 +20,23 @@ pub(super) struct Workspace {
     pub(super) evaluation: Evaluation,
     pub(super) zbuffer: ZBuffer,
     pub(super) scratch: Scratch,
+    pub(super) times: AlignTimes,
 }
 
 impl Workspace {
     /// One descent per start.
     pub(super) fn begin(&mut self, starts: &[Start]) {
+        (self.times, self.evaluation.spent_ms) = (AlignTimes::default(), 0.0);
         self.descents.resize_with(starts.len(), Descent::default);
         for (descent, start) in self.descents.iter_mut().zip(starts) {
             descent.start_at(start.camera_from_object.renormalised(), &start.appearance);
         }
+    }
+
+    /// Divides the time since the descents began.
+    pub(super) fn end_times(&mut self, began: Instant) {
+        self.times.accumulate_ms = self.evaluation.spent_ms;
+        self.times.solve_ms = ms_since(began) - self.times.visibility_ms - self.times.accumulate_ms;
     }
 
     /// The estimates of the descents.
@@ -36,8 +46,11 @@ impl Workspace {
         target: &Target<'_>,
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
-        let Self { descents, evaluation, scratch, .. } = self;
-        finish(backend, target, descents.iter().map(Descent::ended), evaluation, scratch, estimates)
+        let began = Instant::now();
+        let Self { descents, evaluation, scratch, times, .. } = self;
+        finish(backend, target, descents.iter().map(Descent::ended), evaluation, scratch, estimates)?;
+        times.score_ms = ms_since(began);
+        Ok(())
     }
 }
 

@@ -1,13 +1,15 @@
 //! A sequence of frames: prediction, alignment, loss.
 
+mod batch;
 mod prediction;
 pub mod realign;
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use image::GrayImage;
 
-use crate::align::{Aligner, PoseEstimate, Start, Target};
+use crate::align::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose};
@@ -42,12 +44,33 @@ pub struct Tracked {
     pub estimate: PoseEstimate,
     /// Wall time of this frame, milliseconds.
     pub time_ms: f64,
+    /// Where it went.
+    pub times: FrameTimes,
+}
+
+/// Where the time of a frame went: wall time, milliseconds. What is left of the whole is prediction and bookkeeping.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct FrameTimes {
+    /// Removing lens distortion, on the host.
+    pub rectify_ms: f64,
+    /// Handing the frame to the backend, pyramid included.
+    pub set_frame_ms: f64,
+    /// The alignment of the predicted pose; zero but for the default method.
+    #[serde(flatten)]
+    pub align: AlignTimes,
+    /// Searching for what was not found there.
+    pub search_ms: f64,
 }
 
 impl Default for Tracked {
     /// Nothing is known yet: memory for [`Tracker::track_into`].
     fn default() -> Self {
-        Self { status: Status::Lost, estimate: PoseEstimate::default(), time_ms: 0.0 }
+        Self {
+            status: Status::Lost,
+            estimate: PoseEstimate::default(),
+            time_ms: 0.0,
+            times: FrameTimes::default(),
+        }
     }
 }
 
@@ -55,12 +78,15 @@ impl Default for Tracked {
 pub struct Tracker {
     backend: Box<dyn Backend>,
     aligner: Box<dyn Aligner>,
-    model: Model,
+    /// Shared with the trackers of other streams.
+    model: Arc<Model>,
     id: ModelId,
     camera: Camera,
     rectifier: Rectifier,
     /// The current frame without lens distortion.
     rectified: GrayImage,
+    /// Where the time of the current frame went.
+    times: FrameTimes,
     motion: Option<Motion>,
     appearance: Vec<f64>,
     /// True after a frame that was lost: coming back needs more evidence than going on.
@@ -101,11 +127,12 @@ impl Tracker {
         Ok(Self {
             backend,
             aligner,
-            model,
+            model: Arc::new(model),
             id,
             camera,
             rectifier,
             rectified: GrayImage::default(),
+            times: FrameTimes::default(),
             motion: None,
             appearance,
             lost: false,
@@ -180,7 +207,7 @@ impl Tracker {
         (self.starts, self.estimates) = (starts, estimates);
         aligned?;
         tracked.status = self.follow(motion, &tracked.estimate);
-        tracked.time_ms = began.elapsed().as_secs_f64() * 1e3;
+        (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
         Ok(())
     }
 
@@ -220,11 +247,16 @@ impl Tracker {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         self.check_size(image)?;
+        let began = Instant::now();
         let is_rectified = self.rectifier.rectify_into(image, &mut self.rectified);
         let image = if is_rectified { &self.rectified } else { image };
+        let rectify_ms = ms_since(began);
         self.backend.set_frame(image, self.aligner.levels(&self.model))?;
+        let set_frame_ms = ms_since(began) - rectify_ms;
         let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
         self.aligner.align(self.backend.as_mut(), &target, starts, estimates)?;
+        let align = self.aligner.times();
+        let began = Instant::now();
         for (estimate, start) in estimates.iter_mut().zip(starts) {
             let fell =
                 estimate.score.correlation < RECOVERED_CORRELATION.min(self.correlation - FALLEN_CORRELATION);
@@ -239,6 +271,7 @@ impl Tracker {
                 estimate.iterations = iterations;
             }
         }
+        self.times = FrameTimes { rectify_ms, set_frame_ms, align, search_ms: ms_since(began) };
         Ok(())
     }
 
@@ -251,6 +284,10 @@ impl Tracker {
         }
         Ok(())
     }
+}
+
+fn ms_since(began: Instant) -> f64 {
+    began.elapsed().as_secs_f64() * 1e3
 }
 
 /// Is the object where the estimate says? Coming back after a loss or by a search needs more evidence than going on.

@@ -58,7 +58,7 @@ impl Default for EdgeOptions {
 }
 
 /// Robust alignment of edges, coarse to fine.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Edge {
     /// Choices.
     pub options: EdgeOptions,
@@ -229,6 +229,10 @@ impl Aligner for Edge {
             return Err(Error::invalid("model", "it has next to no edges", remedy));
         }
         Ok(())
+    }
+
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
     }
 
     fn align(

@@ -47,7 +47,7 @@ impl Default for PaperOptions {
 }
 
 /// Constant J, affine warp per triangle, Levenberg-Marquardt in two phases at full size.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Paper {
     /// Choices.
     pub options: PaperOptions,
@@ -55,7 +55,7 @@ pub struct Paper {
 }
 
 /// What is computed once per model.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Prepared {
     reference: Reference,
     /// The template with q = 1 in the backend.
@@ -188,6 +188,10 @@ impl Aligner for Paper {
         let variant = Model { levels: vec![uniform], ..model.clone() };
         self.prepared = Some(Prepared { reference, uniform: backend.load(&variant)?, phases });
         Ok(())
+    }
+
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
     }
 
     fn align(

@@ -8,6 +8,7 @@ use super::motion;
 use super::published;
 use super::record::{Below, FrameError, Run};
 use crate::align::Method;
+use crate::cli::decode::Latency;
 use crate::cli::track::{Outputs, track_scene};
 use crate::eval::frames::frame_errors;
 use crate::eval::{Estimate, evaluate};
@@ -50,6 +51,7 @@ impl Plan<'_> {
             details: Some(&details),
             overlay: Some(&overlay),
             overlay_every: every,
+            latency: Latency::Low,
             what: &self.label,
         };
         let estimates = track_scene(&mut tracker, scene, &outputs)?;
