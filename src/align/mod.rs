@@ -1,5 +1,6 @@
 //! One frame: from a start pose to the pose that aligns the template with the image.
 
+mod contribution;
 mod covariance;
 mod derivative;
 mod edge;

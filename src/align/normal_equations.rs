@@ -3,14 +3,15 @@
 use nalgebra::{DMatrix, DVector, DVectorView, Matrix6, Point3};
 
 use super::Target;
+use super::contribution::Contribution;
 use super::derivative::{CornerMotion, Derivative, TrianglePart};
 use super::levenberg_marquardt::State;
 use super::photometric::{self, PRIOR_NOISE, Solution, centred};
 use super::workspace::{Scratch, Solver, factor, reset_matrix, reset_vector};
 use crate::backend::SumsRow;
 use crate::geometry::Camera;
-use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
-use crate::model::{Grouping, Groups, LevelTemplate, Moments};
+use crate::model::moments::FIRST_MODE;
+use crate::model::{Grouping, Groups, LevelTemplate};
 
 /// What stays the same while a level is aligned.
 #[derive(Debug)]
@@ -133,7 +134,7 @@ impl NormalEquations {
             };
             let group = groups.of_triangle[t];
             derivative.of_triangle(level, (t, geometry), rows, &corners, solutions[group].value.x, part);
-            let here = Here { level, triangle: t, rows: *rows, s: s[t], part };
+            let here = Contribution { level, triangle: t, rows: *rows, s: s[t], part };
             self.add_triangle(&here);
             self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
             here.couple(couplings.of(group), groups.centre[group]);
@@ -178,7 +179,7 @@ impl NormalEquations {
         }
     }
 
-    fn add_triangle(&mut self, here: &Here<'_>) {
+    fn add_triangle(&mut self, here: &Contribution<'_>) {
         let TrianglePart { motion, hessian, cross, gradient } = here.part;
         let transposed = here.s * motion.transpose();
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
@@ -204,7 +205,12 @@ impl NormalEquations {
 
     /// Adds the outer product of a triangle's part in the gradient, after gain and bias (factors of the appearance
     /// columns `gain_and_bias`).
-    fn scatter_triangle(&mut self, here: &Here<'_>, gain_and_bias: [(usize, f64); 2], column: &mut Vec<f64>) {
+    fn scatter_triangle(
+        &mut self,
+        here: &Contribution<'_>,
+        gain_and_bias: [(usize, f64); 2],
+        column: &mut Vec<f64>,
+    ) {
         let n = self.gradient.len();
         let (part, appearance, inside) = (here.part, &here.moments().appearance, here.inside());
         let mut v = part.gradient;
@@ -232,50 +238,6 @@ impl NormalEquations {
                 *sum -= g * with_gain + b * with_bias;
             }
             self.gradient[j] += solution.value[0] * g + solution.value[1] * b;
-        }
-    }
-}
-
-/// A triangle that is being added.
-struct Here<'a> {
-    level: &'a LevelTemplate,
-    triangle: usize,
-    rows: Rows<'a>,
-    /// Its weight.
-    s: f64,
-    part: &'a TrianglePart,
-}
-
-impl<'a> Here<'a> {
-    fn moments(&self) -> &'a Moments {
-        &self.level.moments[self.triangle]
-    }
-
-    /// sum q r A^T.
-    fn row(&self) -> &'a [f64] {
-        self.rows.row(self.triangle).appearance()
-    }
-
-    fn inside(&self) -> f64 {
-        self.rows.inside(self.level, self.triangle)
-    }
-
-    /// Adds its coupling to the columns of gain and bias of its group: pose, then appearance.
-    fn couple(&self, columns: [&mut [f64]; 2], centre: f64) {
-        let (appearance, share) = (&self.moments().appearance, self.s * self.inside());
-        let one = self.part.cross.fixed_view::<6, 1>(0, BIAS);
-        let gain = self.part.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
-        let transposed = self.s * self.part.motion.transpose();
-        let [gains, biases] = columns;
-        for (column, pose) in [(&mut *gains, transposed * gain), (&mut *biases, transposed * one)] {
-            for (sum, value) in column.iter_mut().zip(&pose) {
-                *sum += value;
-            }
-        }
-        for k in 0..gains.len() - 6 {
-            let with = |column: usize| appearance[(FIRST_MODE + k, column)];
-            gains[6 + k] += share * (with(GAIN) - centre * with(BIAS));
-            biases[6 + k] += share * with(BIAS);
         }
     }
 }
