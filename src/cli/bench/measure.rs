@@ -134,14 +134,8 @@ pub(super) fn passes(
     let mut best_linearize = vec![f64::INFINITY; runners.len()];
     for _ in 0..effort.rounds {
         for ((best, linearize), r) in best.iter_mut().zip(&mut best_linearize).zip(&mut runners) {
-            let request = Request {
-                model: r.model,
-                level: 0,
-                image_level: 0,
-                items: 1,
-                warps: &warps,
-                appearance: &appearance,
-            };
+            let (model, warps, appearance) = (r.model, &*warps, &*appearance);
+            let request = Request { model, level: 0, image_level: 0, items: 1, warps, appearance };
             for _ in 0..CALLS {
                 let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.out.sums));
                 done?;
@@ -160,17 +154,10 @@ pub(super) fn passes(
     }
     let pixels = model.levels[0].pixels.len();
     let per_px = |ms: f64| ms * 1e6 / pixels as f64;
-    let mut stages: Vec<_> = runners
-        .iter()
-        .zip(&best)
-        .map(|(r, ms)| StageFigure { stage: "accumulate", backend: r.backend.name(), ns_per_px: per_px(*ms) })
-        .collect();
-    let linearized = runners.iter().zip(&best_linearize);
-    stages.extend(linearized.map(|(r, ms)| StageFigure {
-        stage: "linearize",
-        backend: r.backend.name(),
-        ns_per_px: per_px(*ms),
-    }));
+    let figure =
+        |stage, r: &Runner, ms: f64| StageFigure { stage, backend: r.backend.name(), ns_per_px: per_px(ms) };
+    let mut stages: Vec<_> = runners.iter().zip(&best).map(|(r, ms)| figure("accumulate", r, *ms)).collect();
+    stages.extend(runners.iter().zip(&best_linearize).map(|(r, ms)| figure("linearize", r, *ms)));
     let of_image = best[runners.len() + 1] * 1e6 / image_pixels(image);
     stages.push(StageFigure { stage: "downsample", backend: "cpu".into(), ns_per_px: of_image });
     Ok(PassFigures {
