@@ -105,6 +105,43 @@ fn count(value: &Value) -> usize {
     list.iter().filter(|v| v.as_f64().is_some_and(f64::is_finite)).count()
 }
 
+/// The parts of a frame's time are known and not more than the whole.
+fn check_times(line: &Value) {
+    let stages = ["visibility_ms", "accumulate_ms", "solve_ms", "score_ms", "search_ms"];
+    let before = ["decode_ms", "rectify_ms", "set_frame_ms"];
+    check_members("times", &line["times"], &[&before[..], &stages].concat());
+    let ms = |name: &&str| line["times"][*name].as_f64().expect("a number");
+    assert!(before.iter().take(1).chain(&stages[..4]).all(|name| ms(name) > 0.0), "{line}");
+    let parts: f64 = before.iter().skip(1).chain(&stages).map(ms).sum();
+    assert!(Some(parts) <= line["time_ms"].as_f64(), "{parts} ms of parts: {line}");
+}
+
+/// What does not depend on the clock.
+fn without_times(path: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(path).expect("details");
+    let mut lines: Vec<Value> = text.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
+    for line in &mut lines {
+        let members = line.as_object_mut().expect("an object");
+        assert!(["time_ms", "times"].map(|m| members.remove(m)).iter().all(Option::is_some), "times");
+    }
+    lines
+}
+
+#[test]
+fn reading_ahead_changes_nothing() {
+    let (m, out) = (made(), folder("latency"));
+    let details = |latency: &str| {
+        let path = |end: &str| out.join(format!("{latency}.{end}"));
+        let track = format!("track {} {} --scene 1 --backend cpu", m.model.display(), m.data.display());
+        let files = format!("--out {} --details {}", path("csv").display(), path("jsonl").display());
+        done(&format!("{track} {files} --latency {latency}"));
+        without_times(&path("jsonl"))
+    };
+    let low = details("low");
+    assert_eq!(low.len(), FRAMES, "every frame");
+    assert_eq!(details("pipelined"), low, "the same results");
+}
+
 fn check_details(path: &Path) {
     let text = fs::read_to_string(path).expect("details");
     let lines: Vec<Value> = text.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
@@ -124,8 +161,10 @@ fn check_details(path: &Path) {
             "correlation",
             "recognised",
             "time_ms",
+            "times",
         ];
         check_members("details", line, &members);
+        check_times(line);
         assert_eq!(
             (line["frame"].as_u64(), line["status"].as_str()),
             (Some(k as u64), Some("tracking")),

@@ -145,10 +145,10 @@ fn methods_that_prepare_say_so() -> Result<(), Failed> {
     for method in Method::ALL {
         let mut backend = CpuBackend::new();
         let id = backend.load(&scene.cut)?;
-        let aligner = method.aligner();
+        let mut aligner = method.aligner();
         backend.set_frame(image, aligner.levels(&scene.cut))?;
         let target = aam6d::align::Target { model: &scene.cut, id, camera: scene.camera, image };
-        let said = aligner.align(&mut backend, &target, &scene.starts(pose)).is_err();
+        let said = aligner.align(&mut backend, &target, &scene.starts(pose), &mut Vec::new()).is_err();
         let needs = matches!(method, Method::Paper | Method::Edge);
         if said != needs {
             return Err(format!("{method}: refused {said}, needs prepare {needs}").into());

@@ -1,8 +1,9 @@
 //! Covariance of the estimated pose.
 
-use nalgebra::{DMatrix, Matrix3, Matrix6, Point3};
+use nalgebra::{Matrix3, Matrix6, Point3};
 
 use super::normal_equations::NormalEquations;
+use super::workspace::{Solver, copy_matrix, scale_both_sides};
 use crate::geometry::Pose;
 use crate::geometry::pose::skew;
 
@@ -11,18 +12,24 @@ use crate::geometry::pose::skew;
 /// show in the sums of whole triangles, while the textbook `s^2 H^-1` takes every pixel for an independent witness. Zero
 /// where the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and
 /// radians.
-pub(super) fn covariance(equations: &NormalEquations) -> Matrix6<f64> {
-    // Columns differ by orders of magnitude (metres, radians): normalise before inverting.
-    let scale = equations.hessian.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
-    let scale = DMatrix::from_diagonal(&scale);
-    let (n, p) = (equations.triangles, scale.nrows());
-    let factor = (&scale * &equations.hessian * &scale).cholesky();
-    let Some(factor) = factor.filter(|_| n > p) else { return Matrix6::zeros() };
-    let scatter = &scale * &equations.scatter * &scale;
+pub(super) fn covariance(equations: &NormalEquations, solver: &mut Solver) -> Matrix6<f64> {
+    let (n, p) = (equations.triangles, equations.gradient.len());
+    if n <= p {
+        return Matrix6::zeros();
+    }
+    let Some(factor) = solver.factor(&equations.hessian, 0.0) else { return Matrix6::zeros() };
+    let Solver { scatter, scale, .. } = solver;
+    copy_matrix(scatter, &equations.scatter);
+    scale_both_sides(scatter, scale);
+    // H^-1 G, then H^-1 (H^-1 G)^T.
+    factor.solve_mut(scatter);
+    scatter.transpose_mut();
+    factor.solve_mut(scatter);
+    scale_both_sides(scatter, scale);
+    solver.system = factor.unpack_dirty();
     #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
     let few_clusters = n as f64 / (n - p) as f64;
-    let covariance = &scale * factor.solve(&factor.solve(&scatter).transpose()) * &scale * few_clusters;
-    covariance.fixed_view::<6, 6>(0, 0).into_owned()
+    solver.scatter.fixed_view::<6, 6>(0, 0) * few_clusters
 }
 
 /// The hessian that belongs to a covariance made of it and a residual variance; zero where that is not known.

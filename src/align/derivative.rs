@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix6, Point3, Vector3, Vector6};
 
 use super::normal_equations::Rows;
+use super::workspace::{copy_matrix, reset_matrix};
 use crate::backend::LinearRow;
 use crate::geometry::warp::{affine, increment_jacobian};
 use crate::geometry::{Camera, Pose};
@@ -97,39 +98,43 @@ pub(super) struct TrianglePart {
     pub(super) gradient: Vector6<f64>,
 }
 
+impl Default for TrianglePart {
+    fn default() -> Self {
+        let zero = Matrix6::zeros();
+        Self { motion: zero, hessian: zero, cross: DMatrix::zeros(6, 0), gradient: Vector6::zeros() }
+    }
+}
+
 impl Derivative<'_> {
-    /// The part of a triangle that has a chart; `gain` is that of its group.
+    /// Writes the part of a triangle; `gain` is that of its group.
     pub(super) fn of_triangle(
         &self,
         level: &LevelTemplate,
-        triangle: usize,
+        (triangle, geometry): (usize, &ChartGeometry),
         rows: &Rows<'_>,
         corners: &CornerMotion,
         gain: f64,
-    ) -> TrianglePart {
+        part: &mut TrianglePart,
+    ) {
         let moments = &level.moments[triangle];
-        let zero = || (Matrix6::zeros(), DMatrix::zeros(6, moments.cross.ncols()), Vector6::zeros());
-        let Some(geometry) = &level.geometry[triangle] else {
-            let (hessian, cross, gradient) = zero();
-            return TrianglePart { motion: Matrix6::zeros(), hessian, cross, gradient };
-        };
-        let gradient = barycentric_gradient(rows.row(triangle).gradient(), geometry);
+        part.gradient = barycentric_gradient(rows.row(triangle).gradient(), geometry);
         match self {
             Self::Template => {
                 let inside = rows.inside(level, triangle);
                 // The template's gradient follows its gain.
-                let motion = corners.template * (1.0 + gain);
-                let (hessian, cross) = (moments.hessian * inside, &moments.cross * inside);
-                TrianglePart { motion, hessian, cross, gradient }
+                part.motion = corners.template * (1.0 + gain);
+                part.hessian = moments.hessian * inside;
+                copy_matrix(&mut part.cross, &moments.cross);
+                part.cross *= inside;
             }
             Self::Frame(seconds) => {
                 let row = LinearRow(&seconds.data[triangle * seconds.row_len..][..seconds.row_len]);
-                let hessian = barycentric_hessian(row.hessian(), geometry);
-                let mut cross = zero().1;
-                for (k, mut column) in cross.column_iter_mut().enumerate() {
+                part.motion = -corners.image;
+                part.hessian = barycentric_hessian(row.hessian(), geometry);
+                reset_matrix(&mut part.cross, 6, moments.cross.ncols());
+                for (k, mut column) in part.cross.column_iter_mut().enumerate() {
                     column.copy_from(&barycentric_gradient(row.cross(k), geometry));
                 }
-                TrianglePart { motion: -corners.image, hessian, cross, gradient }
             }
         }
     }

@@ -1,20 +1,22 @@
 //! What the methods share: checks of the starts, visibility, calls of the backend, and the estimate at the end.
 
+use std::time::Instant;
+
 use nalgebra::Matrix3;
 
 use super::covariance::covariance;
 use super::derivative::SecondRows;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
-use super::photometric::Grouping;
 use super::score::Score;
+use super::workspace::Scratch;
 use super::{PoseEstimate, Start, Target};
 use crate::backend::{Backend, Linearization, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::geometry::raster::{facing, visible_shares};
+use crate::geometry::raster::{ZBuffer, facing};
 use crate::geometry::warp::{affine, homography};
-use crate::model::Model;
+use crate::model::{Grouping, Model};
 
 /// Triangles seen more obliquely than this cosine are left out.
 const MIN_COSINE: f64 = 0.06;
@@ -64,72 +66,99 @@ pub(super) fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
     Ok(())
 }
 
-/// Where the descents start.
-pub(super) fn states_of(starts: &[Start]) -> Vec<State> {
-    let state =
-        |s: &Start| State { pose: s.camera_from_object.renormalised(), appearance: s.appearance.clone() };
-    starts.iter().map(state).collect()
-}
-
 /// Where a descent ended.
-#[derive(Debug)]
-pub(super) struct End {
-    pub(super) state: State,
-    pub(super) visibility: Vec<f64>,
+#[derive(Debug, Clone, Copy)]
+pub(super) struct End<'a> {
+    pub(super) state: &'a State,
+    pub(super) visibility: &'a [f64],
     /// Those at full size, within a step below the stop threshold of the state.
-    pub(super) equations: NormalEquations,
+    pub(super) equations: &'a NormalEquations,
     /// Steps over all levels.
     pub(super) iterations: usize,
     /// False if any level did not converge.
     pub(super) converged: bool,
 }
 
-/// The estimates of ends.
-pub(super) fn finish(
+/// The estimates of ends, in the memory of earlier ones.
+pub(super) fn finish<'a>(
     backend: &mut dyn Backend,
     target: &Target<'_>,
-    ends: Vec<End>,
-) -> Result<Vec<PoseEstimate>> {
-    let scores = scores(backend, target, ends.iter().map(|e| (&e.state, &e.visibility)))?;
-    let estimate = |(end, score): (End, Score)| PoseEstimate {
-        score,
-        covariance: covariance(&end.equations),
-        hessian: end.equations.pose_hessian(),
-        rms: if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 },
-        camera_from_object: end.state.pose,
-        appearance: end.state.appearance,
-        iterations: end.iterations,
-        converged: end.converged,
-    };
-    Ok(ends.into_iter().zip(scores).map(estimate).collect())
+    ends: impl Iterator<Item = End<'a>> + Clone,
+    evaluation: &mut Evaluation,
+    scratch: &mut Scratch,
+    estimates: &mut Vec<PoseEstimate>,
+) -> Result<()> {
+    estimates.resize_with(ends.clone().count(), PoseEstimate::default);
+    for (estimate, end) in estimates.iter_mut().zip(ends.clone()) {
+        estimate.covariance = covariance(end.equations, &mut scratch.solver);
+        estimate.hessian = end.equations.pose_hessian(&mut scratch.solver);
+        estimate.rms = if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 };
+        estimate.camera_from_object = end.state.pose;
+        estimate.appearance.clone_from(&end.state.appearance);
+        (estimate.iterations, estimate.converged) = (end.iterations, end.converged);
+    }
+    let states = ends.map(|end| (end.state, end.visibility));
+    scores(backend, target, states, evaluation, &mut scratch.values, |k, score| estimates[k].score = score)
 }
 
-/// The scores of states, the same measure for every method.
+/// The scores of states by their number, the same measure for every method.
 pub(super) fn scores<'s>(
     backend: &mut dyn Backend,
     target: &Target<'_>,
-    states: impl Iterator<Item = (&'s State, &'s Vec<f64>)> + Clone,
-) -> Result<Vec<Score>> {
+    states: impl Iterator<Item = (&'s State, &'s [f64])> + Clone,
+    evaluation: &mut Evaluation,
+    values: &mut Vec<f64>,
+    mut scored: impl FnMut(usize, Score),
+) -> Result<()> {
     let level = SCORE_LEVEL.min(target.model.levels.len() - 1);
     let problem = LevelProblem::new(target, level, Grouping::FaceAndView);
-    let mut evaluator = Evaluator::new(backend, target, &problem);
+    let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
     evaluator.evaluate(states.clone())?;
-    let score = |(k, (state, visibility)): (usize, (&State, &Vec<f64>))| {
-        Score::new(problem.level, &evaluator.rows(k), visibility, &state.appearance)
-    };
-    Ok(states.enumerate().map(score).collect())
+    for (k, (state, visibility)) in states.enumerate() {
+        scored(k, Score::new(problem.level, &evaluator.rows(k), visibility, &state.appearance, values));
+    }
+    Ok(())
+}
+
+/// The score of a single state.
+pub(super) fn score(
+    backend: &mut dyn Backend,
+    target: &Target<'_>,
+    state: &State,
+    visibility: &[f64],
+) -> Result<Score> {
+    let (mut evaluation, mut values, mut found) = (Evaluation::default(), Vec::new(), Score::default());
+    let states = std::iter::once((state, visibility));
+    scores(backend, target, states, &mut evaluation, &mut values, |_, score| found = score)?;
+    Ok(found)
 }
 
 /// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden or much
 /// compressed.
 pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
+    let mut visibility = Vec::new();
+    look_at(target, pose, &mut ZBuffer::default(), &mut visibility);
+    visibility
+}
+
+/// [`visibility`] in the memory of earlier calls.
+pub(super) fn look_at(target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer, visibility: &mut Vec<f64>) {
     let mesh = &target.model.shape.mesh;
-    let shares = visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose);
-    let keep = |(t, share): (usize, f64)| {
-        let seen = share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        if seen && aspect(target, pose, t) >= MIN_ASPECT { share } else { 0.0 }
-    };
-    shares.into_iter().enumerate().map(keep).collect()
+    zbuffer.visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose, visibility);
+    for (t, share) in visibility.iter_mut().enumerate() {
+        let is_seen = *share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
+        *share = if is_seen && aspect(target, pose, t) >= MIN_ASPECT { *share } else { 0.0 };
+    }
+}
+
+/// What the stages are given and what they hand back.
+#[derive(Debug, Default)]
+pub(super) struct Evaluation {
+    out: Linearization,
+    warps: Vec<TriangleWarp>,
+    appearance: Vec<f32>,
+    /// Wall time spent in the backend, milliseconds.
+    pub(super) spent_ms: f64,
 }
 
 /// Scale of the warp from a triangle's chart to the image in its worst direction, in units of that in its best one (0..1);
@@ -154,9 +183,7 @@ pub(super) struct Evaluator<'a> {
     backend: &'a mut dyn Backend,
     target: &'a Target<'a>,
     problem: &'a LevelProblem<'a>,
-    out: Linearization,
-    warps: Vec<TriangleWarp>,
-    appearance: Vec<f32>,
+    memory: &'a mut Evaluation,
 }
 
 impl<'a> Evaluator<'a> {
@@ -164,46 +191,51 @@ impl<'a> Evaluator<'a> {
         backend: &'a mut dyn Backend,
         target: &'a Target<'a>,
         problem: &'a LevelProblem<'a>,
+        memory: &'a mut Evaluation,
     ) -> Self {
-        let (warps, appearance) = (Vec::new(), Vec::new());
-        Self { backend, target, problem, out: Linearization::default(), warps, appearance }
+        Self { backend, target, problem, memory }
     }
 
     /// Stage `accumulate`; every state comes with its visibility.
     pub(super) fn evaluate<'s>(
         &mut self,
-        states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>,
+        states: impl Iterator<Item = (&'s State, &'s [f64])>,
     ) -> Result<()> {
         let items = self.encode(states);
-        self.backend.accumulate(
-            &request(self.target, self.problem, items, &self.warps, &self.appearance),
-            &mut self.out.sums,
-        )
+        let began = Instant::now();
+        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
+        let request = request(self.target, self.problem, items, warps, appearance);
+        self.backend.accumulate(&request, &mut out.sums)?;
+        *spent_ms += ms_since(began);
+        Ok(())
     }
 
     /// Stage `linearize`.
     pub(super) fn linearize<'s>(
         &mut self,
-        states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>,
+        states: impl Iterator<Item = (&'s State, &'s [f64])>,
     ) -> Result<()> {
         let items = self.encode(states);
-        self.backend.linearize(
-            &request(self.target, self.problem, items, &self.warps, &self.appearance),
-            &mut self.out,
-        )
+        let began = Instant::now();
+        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
+        let request = request(self.target, self.problem, items, warps, appearance);
+        self.backend.linearize(&request, out)?;
+        *spent_ms += ms_since(began);
+        Ok(())
     }
 
     /// Fills warps and appearance; returns the number of states.
-    fn encode<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s Vec<f64>)>) -> usize {
-        self.warps.clear();
-        self.appearance.clear();
+    fn encode<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s [f64])>) -> usize {
+        let Evaluation { warps, appearance, .. } = &mut *self.memory;
+        warps.clear();
+        appearance.clear();
         let mut items = 0;
         for (state, visibility) in states {
             items += 1;
-            self.appearance.extend(state.appearance.iter().copied().map(narrow));
+            appearance.extend(state.appearance.iter().copied().map(narrow));
             for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
                 let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
-                self.warps.push(geometry.map_or(IDLE, |g| TriangleWarp {
+                warps.push(geometry.map_or(IDLE, |g| TriangleWarp {
                     image_from_chart: homography(&self.problem.camera, &state.pose, &g.object_from_chart),
                     active: true,
                 }));
@@ -215,13 +247,13 @@ impl<'a> Evaluator<'a> {
     /// The first-order sums of a state.
     pub(super) fn rows(&self, item: usize) -> Rows<'_> {
         let row_len = Sums::row_len(self.target.model.modes());
-        Rows { data: self.out.sums.item(item), row_len }
+        Rows { data: self.memory.out.sums.item(item), row_len }
     }
 
     /// The second-order sums of a state, after [`Self::linearize`].
     pub(super) fn seconds(&self, item: usize) -> SecondRows<'_> {
         let row_len = Linearization::row_len(self.target.model.modes());
-        SecondRows { data: self.out.item(item), row_len }
+        SecondRows { data: self.memory.out.item(item), row_len }
     }
 }
 
@@ -240,4 +272,8 @@ fn request<'r>(
 #[expect(clippy::cast_possible_truncation, reason = "the device works in f32")]
 pub(super) fn narrow(x: f64) -> f32 {
     x as f32
+}
+
+pub(super) fn ms_since(began: Instant) -> f64 {
+    began.elapsed().as_secs_f64() * 1e3
 }

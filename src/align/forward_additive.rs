@@ -4,16 +4,16 @@
 use nalgebra::Vector6;
 
 use super::derivative::Derivative;
-use super::evaluator::{End, Evaluator, check, finish, states_of, tracked_levels, visibility};
+use super::evaluator::{End, Evaluation, Evaluator, check, finish, tracked_levels, visibility};
 use super::levenberg_marquardt::{State, Stop, solve};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
-use super::photometric::Grouping;
 use super::robust::{Redescent, triangle_weights};
+use super::workspace::Scratch;
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::model::Model;
+use crate::model::{Grouping, Model};
 
 /// Choices of the method; the defaults are those of [`super::Options`], for a fair comparison.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,19 +47,26 @@ pub struct ForwardAdditive {
     pub options: ForwardOptions,
 }
 
-/// A descent on one level.
+/// A descent from level to level.
+#[derive(Debug, Default)]
 struct Descent {
     state: State,
     visibility: Vec<f64>,
-    equations: Option<NormalEquations>,
+    weights: Vec<f64>,
+    equations: NormalEquations,
+    /// Steps on all levels.
     iterations: usize,
+    /// Why it stopped on this level.
     stop: Option<Stop>,
+    /// True if all levels so far converged.
+    converged: bool,
 }
 
 impl Descent {
-    fn new(target: &Target<'_>, state: State) -> Self {
-        let visibility = visibility(target, &state.pose);
-        Self { state, visibility, equations: None, iterations: 0, stop: None }
+    fn new(start: &Start) -> Self {
+        let pose = start.camera_from_object.renormalised();
+        let state = State { pose, appearance: start.appearance.clone() };
+        Self { state, converged: true, ..Self::default() }
     }
 
     /// One step from the sums at the state.
@@ -70,23 +77,27 @@ impl Descent {
         rows: Rows<'_>,
         derivative: Derivative<'_>,
         stop_px: f64,
+        scratch: &mut Scratch,
     ) {
-        let weights = triangle_weights(problem, &rows, &self.visibility, redescent);
-        let State { pose, appearance } = &mut self.state;
-        let equations = NormalEquations::assemble(problem, pose, appearance, &rows, &weights, derivative);
-        let step = solve(&equations, 0.0);
-        if let Some(step) = step {
-            let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
-            // The derivative has its sign: r changes by -J d, so the increment itself goes to the right.
-            *pose = pose.compose(&Pose::increment(&motion, &problem.centre));
-            appearance.iter_mut().zip(step.iter().skip(6)).for_each(|(a, d)| *a += d);
-            self.iterations += 1;
-            let moved = motion.dot(&(equations.displacement * motion)).max(0.0).sqrt();
-            self.stop = (moved < stop_px).then_some(Stop::Converged);
-        } else {
+        let Self { state, visibility, weights, equations, .. } = self;
+        triangle_weights(problem, &rows, visibility, redescent, scratch, weights);
+        equations.assemble(problem, state, &rows, weights, derivative, scratch);
+        let Some(step) = solve(equations, 0.0, &mut scratch.solver) else {
             self.stop = Some(Stop::Singular);
-        }
-        self.equations = Some(equations);
+            return;
+        };
+        let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
+        // The derivative has its sign: r changes by -J d, so the increment itself goes to the right.
+        state.pose = state.pose.compose(&Pose::increment(&motion, &problem.centre));
+        state.appearance.iter_mut().zip(step.iter().skip(6)).for_each(|(a, d)| *a += d);
+        self.iterations += 1;
+        let moved = motion.dot(&(equations.displacement * motion)).max(0.0).sqrt();
+        self.stop = (moved < stop_px).then_some(Stop::Converged);
+    }
+
+    fn ended(&self) -> End<'_> {
+        let Self { state, visibility, equations, iterations, converged, .. } = self;
+        End { state, visibility, equations, iterations: *iterations, converged: *converged }
     }
 }
 
@@ -101,27 +112,35 @@ impl ForwardAdditive {
         backend: &mut dyn Backend,
         target: &Target<'_>,
         level: usize,
-        states: Vec<State>,
-    ) -> Result<Vec<Descent>> {
+        descents: &mut [Descent],
+        evaluation: &mut Evaluation,
+        scratch: &mut Scratch,
+    ) -> Result<()> {
         let options = &self.options;
         let problem = LevelProblem::new(target, level, options.full_size_grouping);
         let stop_px = options.stop_px.get(level).or(options.stop_px.last()).copied().unwrap_or(0.01);
         let redescent = options.robust.then_some(Redescent::DEFAULT);
-        let mut descents: Vec<Descent> = states.into_iter().map(|s| Descent::new(target, s)).collect();
-        let mut evaluator = Evaluator::new(backend, target, &problem);
+        for descent in &mut *descents {
+            descent.visibility = visibility(target, &descent.state.pose);
+            descent.stop = None;
+        }
+        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
         // At least one look, for the score.
         for _ in 0..options.max_iterations.max(1) {
             let active = || descents.iter().filter(|d| d.stop.is_none());
             if active().next().is_none() {
                 break;
             }
-            evaluator.linearize(active().map(|d| (&d.state, &d.visibility)))?;
+            evaluator.linearize(active().map(|d| (&d.state, &*d.visibility)))?;
             for (item, descent) in descents.iter_mut().filter(|d| d.stop.is_none()).enumerate() {
                 let derivative = Derivative::Frame(evaluator.seconds(item));
-                descent.step(&problem, redescent, evaluator.rows(item), derivative, stop_px);
+                descent.step(&problem, redescent, evaluator.rows(item), derivative, stop_px, scratch);
             }
         }
-        Ok(descents)
+        for descent in descents {
+            descent.converged &= descent.stop == Some(Stop::Converged);
+        }
+        Ok(())
     }
 }
 
@@ -130,29 +149,24 @@ impl Aligner for ForwardAdditive {
         model.levels.len()
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
+    }
+
     fn align(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>> {
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
         check(target, starts)?;
-        let mut states = states_of(starts);
-        let mut totals = vec![(0, true); starts.len()];
-        let mut last = Vec::new();
+        let (mut evaluation, mut scratch) = (Evaluation::default(), Scratch::default());
+        let mut descents: Vec<Descent> = starts.iter().map(Descent::new).collect();
         for level in tracked_levels(target.model) {
-            last = self.level(backend, target, level, states)?;
-            for ((iterations, converged), descent) in totals.iter_mut().zip(&last) {
-                *iterations += descent.iterations;
-                *converged &= descent.stop == Some(Stop::Converged);
-            }
-            states = last.iter().map(|d| d.state.clone()).collect();
+            self.level(backend, target, level, &mut descents, &mut evaluation, &mut scratch)?;
         }
-        let end = |(d, (iterations, converged)): (Descent, (usize, bool))| {
-            let Descent { state, visibility, equations, .. } = d;
-            // Every level looks at least once.
-            Some(End { state, visibility, equations: equations?, iterations, converged })
-        };
-        finish(backend, target, last.into_iter().zip(totals).filter_map(end).collect())
+        let ends = descents.iter().map(Descent::ended);
+        finish(backend, target, ends, &mut evaluation, &mut scratch, estimates)
     }
 }

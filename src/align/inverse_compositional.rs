@@ -1,14 +1,16 @@
 //! The default method: template gradient, pose-dependent geometry, right composition, coarse to fine.
 
-use super::evaluator::{End, Evaluator, check, finish, states_of, tracked_levels, visibility};
-use super::levenberg_marquardt::{Descent, Settings, State, Stop};
+use std::time::Instant;
+
+use super::evaluator::{Evaluator, check, look_at, ms_since, tracked_levels};
+use super::levenberg_marquardt::{Descent, Settings};
 use super::normal_equations::LevelProblem;
-use super::photometric::Grouping;
 use super::robust::Redescent;
-use super::{Aligner, PoseEstimate, Start, Target};
+use super::workspace::Workspace;
+use super::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
-use crate::model::Model;
+use crate::model::{Grouping, Model};
 
 /// Triangle weights act from this level down: on coarser ones they cost reach. Only where the object is not found
 /// without them they act on all levels.
@@ -43,16 +45,17 @@ impl Default for Options {
 }
 
 /// Inverse compositional alignment with pose-dependent geometry (`docs/maths.md`).
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct InverseCompositional {
     /// Choices.
     pub options: Options,
+    work: Workspace,
 }
 
 impl InverseCompositional {
     /// The method with the given choices.
     pub fn new(options: Options) -> Self {
-        Self { options }
+        Self { options, work: Workspace::default() }
     }
 
     fn settings(&self, level: usize, robust: Option<usize>) -> Settings {
@@ -73,37 +76,65 @@ impl InverseCompositional {
         target: &Target<'_>,
         robust_from: usize,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>> {
+        work: &mut Workspace,
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        let began = Instant::now();
+        work.begin(starts);
         let (levels, robust) = (tracked_levels(target.model), self.options.robust.then_some(robust_from));
-        let descents = self.coarse_to_fine(backend, target, levels, robust, states_of(starts))?;
-        finish(backend, target, descents.into_iter().map(End::from).collect())
+        self.coarse_to_fine(backend, target, levels, robust, work)?;
+        work.end_times(began);
+        work.finish(backend, target, estimates)
+    }
+
+    /// Picks up predictions; once more, with triangle weights on all levels, those that came to nothing: what covers
+    /// much of the object leads a descent astray that trusts everything on its coarse levels.
+    fn picked_up(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+        work: &mut Workspace,
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        self.tracked(backend, target, COARSEST_ROBUST, starts, work, estimates)?;
+        let lost: Vec<usize> = (0..starts.len()).filter(|&i| estimates[i].score.is_lost()).collect();
+        if lost.is_empty() || !self.options.robust {
+            return Ok(());
+        }
+        let (first, mut guarded) = (work.times, Vec::new());
+        let again: Vec<Start> = lost.iter().map(|&i| starts[i].clone()).collect();
+        self.tracked(backend, target, usize::MAX, &again, work, &mut guarded)?;
+        work.times += first;
+        for (i, guarded) in lost.into_iter().zip(guarded) {
+            let iterations = estimates[i].iterations + guarded.iterations;
+            if guarded.score.correlation > estimates[i].score.correlation {
+                estimates[i] = guarded;
+            }
+            estimates[i].iterations = iterations;
+        }
+        Ok(())
     }
 
     pub(super) fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {
         LevelProblem::new(target, level, self.options.full_size_grouping)
     }
 
-    /// Descends from level to level, with triangle weights from level `robust` down; all states in step.
+    /// Descends from level to level, with triangle weights from level `robust` down; all descents of the workspace in
+    /// step.
     pub(super) fn coarse_to_fine(
         &self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         levels: impl Iterator<Item = usize>,
         robust: Option<usize>,
-        mut states: Vec<State>,
-    ) -> Result<Vec<Descended>> {
-        let mut totals = vec![(0, true); states.len()];
-        let mut last = Vec::new();
+        work: &mut Workspace,
+    ) -> Result<()> {
         for level in levels {
-            last = self.level(backend, target, level, robust, states)?;
-            for ((iterations, converged), descent) in totals.iter_mut().zip(&last) {
-                *iterations += descent.iterations;
-                *converged &= descent.stop == Some(Stop::Converged);
-            }
-            states = last.iter().map(|d| d.state.clone()).collect();
+            self.level(backend, target, level, robust, work)?;
+            work.descents.iter_mut().for_each(Descent::end);
         }
-        let join = |(last, (iterations, converged))| Descended { last, iterations, converged };
-        Ok(last.into_iter().zip(totals).map(join).collect())
+        Ok(())
     }
 
     fn level(
@@ -112,49 +143,36 @@ impl InverseCompositional {
         target: &Target<'_>,
         level: usize,
         robust: Option<usize>,
-        states: Vec<State>,
-    ) -> Result<Vec<Descent>> {
+        work: &mut Workspace,
+    ) -> Result<()> {
         let problem = self.problem(target, level);
         let settings = self.settings(level, robust);
-        let visibility: Vec<Vec<f64>> = states.iter().map(|s| visibility(target, &s.pose)).collect();
-        let mut evaluator = Evaluator::new(backend, target, &problem);
-        evaluator.evaluate(states.iter().zip(&visibility))?;
-        let mut descents = Vec::with_capacity(states.len());
-        for (i, (state, visibility)) in states.into_iter().zip(visibility).enumerate() {
-            descents.push(Descent::new(&problem, &settings, state, visibility, evaluator.rows(i)));
+        let Workspace { descents, evaluation, zbuffer, scratch, times } = work;
+        let began = Instant::now();
+        for descent in descents.iter_mut() {
+            look_at(target, &descent.state.pose, zbuffer, &mut descent.visibility);
+        }
+        times.visibility_ms += ms_since(began);
+        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
+        evaluator.evaluate(descents.iter().map(|d| (&d.state, &*d.visibility)))?;
+        for (i, descent) in descents.iter_mut().enumerate() {
+            descent.begin(&problem, &settings, evaluator.rows(i), scratch);
         }
         loop {
-            let mut proposals = Vec::new();
-            for (i, descent) in descents.iter_mut().enumerate() {
-                if let Some(state) = descent.propose(&problem, &settings) {
-                    proposals.push((i, state.clone()));
-                }
+            for descent in descents.iter_mut() {
+                descent.propose(&problem, &settings, &mut scratch.solver);
             }
-            if proposals.is_empty() {
-                return Ok(descents);
+            let proposed = || descents.iter().filter_map(|d| d.proposed().map(|s| (s, &*d.visibility)));
+            if proposed().next().is_none() {
+                return Ok(());
             }
-            evaluator.evaluate(proposals.iter().map(|(i, state)| (state, &descents[*i].visibility)))?;
-            for (k, (i, _)) in proposals.iter().enumerate() {
-                descents[*i].judge(&problem, &settings, evaluator.rows(k));
+            // What has stopped is no longer part of the call.
+            evaluator.evaluate(proposed())?;
+            let judged = descents.iter_mut().filter(|d| d.proposed().is_some());
+            for (k, descent) in judged.enumerate() {
+                descent.judge(&problem, &settings, evaluator.rows(k), scratch);
             }
         }
-    }
-}
-
-/// A descent through several levels.
-#[derive(Debug)]
-pub(super) struct Descended {
-    /// The descent on the last level.
-    pub(super) last: Descent,
-    iterations: usize,
-    converged: bool,
-}
-
-impl From<Descended> for End {
-    fn from(descended: Descended) -> Self {
-        let Descended { last: Descent { state, visibility, equations, .. }, iterations, converged } =
-            descended;
-        Self { state, visibility, equations, iterations, converged }
     }
 }
 
@@ -163,38 +181,38 @@ impl Aligner for InverseCompositional {
         model.levels.len()
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(Self::new(self.options.clone()))
+    }
+
+    fn times(&self) -> AlignTimes {
+        self.work.times
+    }
+
     fn align(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>> {
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
         check(target, starts)?;
-        let mut estimates = self.tracked(backend, target, COARSEST_ROBUST, starts)?;
-        let lost: Vec<usize> = (0..starts.len()).filter(|&i| estimates[i].score.is_lost()).collect();
-        if lost.is_empty() || !self.options.robust {
-            return Ok(estimates);
-        }
-        // What covers much of the object leads a descent astray that trusts everything on its coarse levels.
-        let again: Vec<Start> = lost.iter().map(|&i| starts[i].clone()).collect();
-        let guarded = self.tracked(backend, target, usize::MAX, &again)?;
-        for (i, guarded) in lost.into_iter().zip(guarded) {
-            let iterations = estimates[i].iterations + guarded.iterations;
-            if guarded.score.correlation > estimates[i].score.correlation {
-                estimates[i] = guarded;
-            }
-            estimates[i].iterations = iterations;
-        }
-        Ok(estimates)
+        let mut work = std::mem::take(&mut self.work);
+        let aligned = self.picked_up(backend, target, starts, &mut work, estimates);
+        self.work = work;
+        aligned
     }
 
     fn search(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         around: &Start,
     ) -> Result<Option<PoseEstimate>> {
         check(target, std::slice::from_ref(around))?;
-        self.shift_search(backend, target, around).map(Some)
+        let mut work = std::mem::take(&mut self.work);
+        let found = self.shift_search(backend, target, around, &mut work);
+        self.work = work;
+        found.map(Some)
     }
 }

@@ -1,10 +1,12 @@
 //! One Levenberg-Marquardt descent as a state machine, so that many run in step with one backend call each.
 
-use nalgebra::{DMatrix, DVector, Vector6};
+use nalgebra::{DVector, Vector6};
 
 use super::derivative::Derivative;
+use super::evaluator::End;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::robust::{Redescent, triangle_weights};
+use super::workspace::{Scratch, Solver, reset_vector};
 use crate::geometry::Pose;
 
 /// Largest damping before a descent gives up.
@@ -21,7 +23,7 @@ pub(super) struct Settings {
 }
 
 /// Pose and appearance parameters.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct State {
     pub(super) pose: Pose,
     pub(super) appearance: Vec<f64>,
@@ -38,8 +40,8 @@ pub(super) enum Stop {
     Singular,
 }
 
-/// A descent on one level.
-#[derive(Debug)]
+/// A descent from level to level.
+#[derive(Debug, Default)]
 pub(super) struct Descent {
     pub(super) state: State,
     /// Sums at the state.
@@ -47,86 +49,117 @@ pub(super) struct Descent {
     /// Share of each triangle that nothing hides, at the start of the level.
     pub(super) visibility: Vec<f64>,
     pub(super) equations: NormalEquations,
+    /// Steps on this level.
     pub(super) iterations: usize,
     pub(super) stop: Option<Stop>,
     pub(super) weights: Vec<f64>,
+    /// Steps on all levels so far.
+    total: usize,
+    /// True if all levels so far converged.
+    converged: bool,
     damping: f64,
-    candidate: Option<State>,
+    candidate: State,
+    is_proposed: bool,
 }
 
 impl Descent {
-    /// Starts at a state whose sums are known.
-    pub(super) fn new(
-        problem: &LevelProblem<'_>,
-        settings: &Settings,
-        state: State,
-        visibility: Vec<f64>,
-        rows: Rows<'_>,
-    ) -> Self {
-        let weights = triangle_weights(problem, &rows, &visibility, settings.redescent);
-        let State { pose, appearance } = &state;
-        let equations =
-            NormalEquations::assemble(problem, pose, appearance, &rows, &weights, Derivative::Template);
-        Self {
-            state,
-            rows: rows.data.to_vec(),
-            visibility,
-            equations,
-            iterations: 0,
-            stop: None,
-            weights,
-            damping: settings.damping,
-            candidate: None,
-        }
+    /// Goes to where a descent starts.
+    pub(super) fn start_at(&mut self, pose: Pose, appearance: &[f64]) {
+        self.state.pose = pose;
+        self.state.appearance.clear();
+        self.state.appearance.extend(appearance);
+        (self.total, self.converged) = (0, true);
     }
 
-    /// Solves for the next step, eq. (18) with diag(JtQJ). Returns the state to evaluate, or `None` when the descent
-    /// has stopped. A step below the threshold is taken without another look.
-    pub(super) fn propose(&mut self, problem: &LevelProblem<'_>, settings: &Settings) -> Option<&State> {
+    /// Leaves a level.
+    pub(super) fn end(&mut self) {
+        self.total += self.iterations;
+        self.converged &= self.stop == Some(Stop::Converged);
+    }
+
+    /// Where the last level ended.
+    pub(super) fn ended(&self) -> End<'_> {
+        let Self { state, visibility, equations, total, converged, .. } = self;
+        End { state, visibility, equations, iterations: *total, converged: *converged }
+    }
+
+    /// Starts a level at the state, whose sums and visibility are known.
+    pub(super) fn begin(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        settings: &Settings,
+        rows: Rows<'_>,
+        scratch: &mut Scratch,
+    ) {
+        (self.iterations, self.stop, self.is_proposed) = (0, None, false);
+        self.damping = settings.damping;
+        self.look(problem, settings, rows, scratch);
+    }
+
+    /// Weights and equations at the state.
+    fn look(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        settings: &Settings,
+        rows: Rows<'_>,
+        scratch: &mut Scratch,
+    ) {
+        self.rows.clear();
+        self.rows.extend(rows.data);
+        let Self { state, visibility, weights, equations, .. } = self;
+        triangle_weights(problem, &rows, visibility, settings.redescent, scratch, weights);
+        equations.assemble(problem, state, &rows, weights, Derivative::Template, scratch);
+    }
+
+    /// Solves for the next step, eq. (18) with diag(JtQJ), unless the descent has stopped. A step below the threshold
+    /// is taken without another look.
+    pub(super) fn propose(&mut self, problem: &LevelProblem<'_>, settings: &Settings, solver: &mut Solver) {
         if self.stop.is_some() {
-            return None;
+            return;
         }
         if self.iterations >= settings.max_iterations {
             self.stop = Some(Stop::Exhausted);
-            return None;
+            return;
         }
-        let Some(step) = solve(&self.equations, self.damping) else {
+        let Some(step) = solve(&self.equations, self.damping, solver) else {
             self.stop = Some(Stop::Singular);
-            return None;
+            return;
         };
         self.iterations += 1;
         let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
         let moved = motion.dot(&(self.equations.displacement * motion)).max(0.0).sqrt();
-        let next = State {
-            pose: self.state.pose.compose(&Pose::increment(&motion, &problem.centre).inverse()),
-            appearance: self.state.appearance.iter().zip(step.iter().skip(6)).map(|(a, d)| a + d).collect(),
-        };
-        if moved < settings.stop_px {
-            self.state = next;
+        self.candidate.pose = self.state.pose.compose(&Pose::increment(&motion, &problem.centre).inverse());
+        self.candidate.appearance.clear();
+        let appearance = self.state.appearance.iter().zip(step.iter().skip(6));
+        self.candidate.appearance.extend(appearance.map(|(a, d)| a + d));
+        let is_small = moved < settings.stop_px;
+        self.is_proposed = !is_small;
+        if is_small {
+            std::mem::swap(&mut self.state, &mut self.candidate);
             self.stop = Some(Stop::Converged);
-            return None;
         }
-        self.candidate = Some(next);
-        self.candidate.as_ref()
+    }
+
+    /// The state to evaluate next.
+    pub(super) fn proposed(&self) -> Option<&State> {
+        self.is_proposed.then_some(&self.candidate)
     }
 
     /// Accepts the proposed state if it lowers the cost with the same triangle weights, else damps more.
-    pub(super) fn judge(&mut self, problem: &LevelProblem<'_>, settings: &Settings, rows: Rows<'_>) {
-        let Some(candidate) = self.candidate.take() else { return };
-        if cost(problem, &candidate.appearance, &rows, &self.weights) < self.equations.cost {
-            self.state = candidate;
+    pub(super) fn judge(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        settings: &Settings,
+        rows: Rows<'_>,
+        scratch: &mut Scratch,
+    ) {
+        self.is_proposed = false;
+        let appearance = &self.candidate.appearance;
+        let cost = cost(problem, appearance, &rows, &self.weights, &mut scratch.solutions);
+        if cost < self.equations.cost {
+            std::mem::swap(&mut self.state, &mut self.candidate);
             self.damping /= 10.0;
-            self.rows.copy_from_slice(rows.data);
-            self.weights = triangle_weights(problem, &rows, &self.visibility, settings.redescent);
-            let State { pose, appearance } = &self.state;
-            self.equations = NormalEquations::assemble(
-                problem,
-                pose,
-                appearance,
-                &rows,
-                &self.weights,
-                Derivative::Template,
-            );
+            self.look(problem, settings, rows, scratch);
         } else {
             self.damping *= 10.0;
             if self.damping > MAX_DAMPING {
@@ -137,17 +170,19 @@ impl Descent {
 }
 
 /// d = -(JtQJ + damping diag(JtQJ))^-1 JtQr with normalised columns; `None` if not positive definite.
-pub(super) fn solve(equations: &NormalEquations, damping: f64) -> Option<DVector<f64>> {
-    let diagonal = equations.hessian.diagonal();
-    if diagonal.iter().any(|d| *d <= 0.0 || !d.is_finite()) {
-        return None;
-    }
-    let scale = diagonal.map(|d| 1.0 / d.sqrt());
-    let mut normalised = DMatrix::from_diagonal(&scale) * &equations.hessian * DMatrix::from_diagonal(&scale);
-    for i in 0..normalised.nrows() {
-        normalised[(i, i)] += damping;
-    }
-    let step = normalised.cholesky()?.solve(&equations.gradient.component_mul(&scale));
-    let step = -step.component_mul(&scale);
-    step.iter().all(|d| d.is_finite()).then_some(step)
+pub(super) fn solve<'s>(
+    equations: &NormalEquations,
+    damping: f64,
+    solver: &'s mut Solver,
+) -> Option<&'s DVector<f64>> {
+    let factor = solver.factor(&equations.hessian, damping)?;
+    let Solver { scale, vector, system, .. } = solver;
+    reset_vector(vector, scale.len());
+    vector.copy_from(&equations.gradient);
+    vector.component_mul_assign(scale);
+    factor.solve_mut(vector);
+    vector.component_mul_assign(scale);
+    vector.neg_mut();
+    *system = factor.unpack_dirty();
+    vector.iter().all(|d| d.is_finite()).then_some(vector)
 }

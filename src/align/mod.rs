@@ -1,5 +1,6 @@
 //! One frame: from a start pose to the pose that aligns the template with the image.
 
+mod contribution;
 mod covariance;
 mod derivative;
 mod edge;
@@ -14,6 +15,7 @@ mod photometric;
 mod robust;
 mod score;
 mod search;
+mod workspace;
 
 use image::GrayImage;
 use nalgebra::Matrix6;
@@ -23,13 +25,13 @@ use crate::error::Result;
 use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
+pub use crate::model::Grouping;
 pub use covariance::to_ros_order;
 pub use edge::{Edge, EdgeOptions};
 pub use forward_additive::{ForwardAdditive, ForwardOptions};
 pub use inverse_compositional::{InverseCompositional, Options};
 pub use method::Method;
 pub use paper::{Order, Paper, PaperOptions};
-pub use photometric::Grouping;
 pub use score::Score;
 
 /// What is aligned: a model, loaded into a backend, seen by a pinhole camera.
@@ -46,7 +48,7 @@ pub struct Target<'a> {
 }
 
 /// Where an alignment starts.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Start {
     /// Pose `camera_from_object`.
     pub camera_from_object: Pose,
@@ -55,7 +57,7 @@ pub struct Start {
 }
 
 /// The end of an alignment.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct PoseEstimate {
     /// Pose `camera_from_object`.
     pub camera_from_object: Pose,
@@ -78,7 +80,29 @@ pub struct PoseEstimate {
     pub score: Score,
 }
 
-/// Aligns a model with the current frame of a backend.
+/// Where the time of an alignment went: wall time, milliseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct AlignTimes {
+    /// What hides what, on the host.
+    pub visibility_ms: f64,
+    /// Work of the backend on the pixels, waiting included.
+    pub accumulate_ms: f64,
+    /// Weights, equations and steps, on the host.
+    pub solve_ms: f64,
+    /// Score and covariance of the estimate, the backend's part included.
+    pub score_ms: f64,
+}
+
+impl std::ops::AddAssign for AlignTimes {
+    fn add_assign(&mut self, other: Self) {
+        self.visibility_ms += other.visibility_ms;
+        self.accumulate_ms += other.accumulate_ms;
+        self.solve_ms += other.solve_ms;
+        self.score_ms += other.score_ms;
+    }
+}
+
+/// Aligns a model with the current frame of a backend. An aligner may keep memory between frames, but no results.
 pub trait Aligner: Send {
     /// Pyramid levels the frame must have.
     fn levels(&self, model: &Model) -> usize;
@@ -92,16 +116,26 @@ pub trait Aligner: Send {
         Ok(())
     }
 
-    /// Aligns every start on its own; estimates come in the order of the starts.
+    /// An aligner with the same choices, ready for the same models, for another stream.
+    fn another(&self) -> Box<dyn Aligner>;
+
+    /// Where the time of the last [`Self::align`] went; zero where a method does not measure it.
+    fn times(&self) -> AlignTimes {
+        AlignTimes::default()
+    }
+
+    /// Aligns every start on its own; estimates come in the order of the starts, in the memory of those that
+    /// `estimates` had.
     ///
     /// # Errors
     /// Those of the backend. A start from which nothing is visible is no error: its score is zero.
     fn align(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>>;
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()>;
 
     /// Looks for the object around a pose from which [`Self::align`] found nothing; `None` if the method has no
     /// search. The caller decides by the score whether to believe the estimate.
@@ -109,7 +143,7 @@ pub trait Aligner: Send {
     /// # Errors
     /// Those of the backend.
     fn search(
-        &self,
+        &mut self,
         _backend: &mut dyn Backend,
         _target: &Target<'_>,
         _around: &Start,

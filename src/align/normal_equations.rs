@@ -1,14 +1,17 @@
 //! JtQJ, JtQr and the cost at a pose, from triangle sums and moments (`docs/maths.md`, "Moments").
 
-use nalgebra::{DMatrix, DVector, Matrix6, Point3};
+use nalgebra::{DMatrix, DVector, DVectorView, Matrix6, Point3};
 
 use super::Target;
+use super::contribution::Contribution;
 use super::derivative::{CornerMotion, Derivative, TrianglePart};
-use super::photometric::{self, Grouping, Groups, PRIOR_NOISE, Solution, centred};
+use super::levenberg_marquardt::State;
+use super::photometric::{self, PRIOR_NOISE, Solution, centred};
+use super::workspace::{Scratch, Solver, factor, reset_matrix, reset_vector};
 use crate::backend::SumsRow;
-use crate::geometry::{Camera, Pose};
-use crate::model::LevelTemplate;
-use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
+use crate::geometry::Camera;
+use crate::model::moments::FIRST_MODE;
+use crate::model::{Grouping, Groups, LevelTemplate};
 
 /// What stays the same while a level is aligned.
 #[derive(Debug)]
@@ -20,7 +23,7 @@ pub(super) struct LevelProblem<'a> {
     pub(super) image_level: usize,
     /// Camera at the level of the image.
     pub(super) camera: Camera,
-    pub(super) groups: Groups,
+    pub(super) groups: &'a Groups,
     /// Centre of rotation, object frame.
     pub(super) centre: Point3<f64>,
 }
@@ -47,7 +50,7 @@ impl<'a> LevelProblem<'a> {
             number: level,
             image_level,
             camera: target.camera.at_level(image_level),
-            groups: Groups::new(grouping, &target.model.shape, template),
+            groups: template.groups(grouping),
             centre: target.model.shape.centre,
         }
     }
@@ -91,97 +94,100 @@ pub(super) struct NormalEquations {
     pub(super) displacement: Matrix6<f64>,
 }
 
-/// Coupling of one group's gain and bias with the pose and the appearance parameters.
-#[derive(Clone, Default)]
-struct Coupling {
-    /// Columns of gain and bias: pose, then appearance. Empty until a triangle of the group takes part.
-    columns: [Vec<f64>; 2],
-}
-
-impl NormalEquations {
-    /// Adds up the triangles with weights `s` at a pose; `appearance` are the current parameters (for their prior),
-    /// `derivative` says where the derivative of the residual comes from.
-    pub(super) fn assemble(
-        problem: &LevelProblem<'_>,
-        pose: &Pose,
-        appearance: &[f64],
-        rows: &Rows<'_>,
-        s: &[f64],
-        derivative: Derivative<'_>,
-    ) -> Self {
-        let level = problem.level;
-        let solutions = photometric::solve(&problem.groups, level, rows, s);
-        let mut sum = Self::prior(appearance);
-        let mut couplings = vec![Coupling::default(); problem.groups.len()];
-        for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
-            let Some(geometry) = geometry else { continue };
-            let Some(corners) = CornerMotion::new(&problem.camera, pose, geometry, &problem.centre) else {
-                continue;
-            };
-            let group = problem.groups.of_triangle[t];
-            let part = derivative.of_triangle(level, t, rows, &corners, solutions[group].value.x);
-            let gain_and_bias = solutions[group].columns(problem.groups.centre[group]);
-            sum.add_triangle(level, t, rows, s[t], &part);
-            sum.scatter_triangle(level, t, rows, s[t], &part, gain_and_bias);
-            couplings[group].add(level, t, rows, s[t], &part, problem.groups.centre[group]);
-            sum.displacement += corners.metric;
-            sum.triangles += 1;
-        }
-        for (coupling, solution) in couplings.iter().zip(&solutions) {
-            sum.eliminate(coupling, solution);
-        }
-        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
-        let active = sum.triangles.max(1) as f64;
-        sum.displacement /= active;
-        (sum.cost, sum.weight) = mean_cost(rows, s, &solutions, appearance);
-        sum
-    }
-
-    /// Pose block of JtQJ after the appearance parameters are eliminated; zero where they are not determined.
-    pub(super) fn pose_hessian(&self) -> Matrix6<f64> {
-        let l = self.gradient.len() - 6;
-        let pose = self.hessian.fixed_view::<6, 6>(0, 0).into_owned();
-        let coupling = self.hessian.view((0, 6), (6, l));
-        let appearance = self.hessian.view((6, 6), (l, l)).into_owned();
-        let Some(factor) = appearance.cholesky() else { return Matrix6::zeros() };
-        let explained = coupling * factor.solve(&coupling.transpose());
-        pose - explained.fixed_view::<6, 6>(0, 0)
-    }
-
-    fn prior(appearance: &[f64]) -> Self {
-        let n = 6 + appearance.len();
-        let mut prior = Self {
-            hessian: DMatrix::zeros(n, n),
-            gradient: DVector::zeros(n),
-            scatter: DMatrix::zeros(n, n),
+impl Default for NormalEquations {
+    fn default() -> Self {
+        let (matrix, vector) = (DMatrix::zeros(0, 0), DVector::zeros(0));
+        Self {
+            hessian: matrix.clone(),
+            gradient: vector,
+            scatter: matrix,
             triangles: 0,
             cost: 0.0,
             weight: 0.0,
             displacement: Matrix6::zeros(),
-        };
-        for (k, lambda) in appearance.iter().enumerate() {
-            prior.hessian[(6 + k, 6 + k)] = PRIOR_NOISE * PRIOR_NOISE;
-            prior.gradient[6 + k] = PRIOR_NOISE * PRIOR_NOISE * lambda;
         }
-        prior
+    }
+}
+
+impl NormalEquations {
+    /// Adds up the triangles with weights `s` at a state; its appearance parameters are needed for their prior.
+    /// `derivative` says where the derivative of the residual comes from.
+    pub(super) fn assemble(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        state: &State,
+        rows: &Rows<'_>,
+        s: &[f64],
+        derivative: Derivative<'_>,
+        scratch: &mut Scratch,
+    ) {
+        let (level, groups) = (problem.level, problem.groups);
+        let Scratch { solutions, couplings, part, column, .. } = scratch;
+        photometric::solve(groups, level, rows, s, solutions);
+        self.start_from_prior(&state.appearance);
+        couplings.reset(groups.len(), self.gradient.len());
+        for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
+            let Some(geometry) = geometry else { continue };
+            let Some(corners) = CornerMotion::new(&problem.camera, &state.pose, geometry, &problem.centre)
+            else {
+                continue;
+            };
+            let group = groups.of_triangle[t];
+            derivative.of_triangle(level, (t, geometry), rows, &corners, solutions[group].value.x, part);
+            let here = Contribution { level, triangle: t, rows: *rows, s: s[t], part };
+            self.add_triangle(&here);
+            self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
+            here.couple(couplings.of(group), groups.centre[group]);
+            self.displacement += corners.metric;
+            self.triangles += 1;
+        }
+        for (group, columns) in couplings.iter() {
+            self.eliminate(columns, &solutions[group]);
+        }
+        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+        let active = self.triangles.max(1) as f64;
+        self.displacement /= active;
+        (self.cost, self.weight) = mean_cost(rows, s, solutions, &state.appearance);
     }
 
-    fn add_triangle(
-        &mut self,
-        level: &LevelTemplate,
-        triangle: usize,
-        rows: &Rows<'_>,
-        s: f64,
-        part: &TrianglePart,
-    ) {
-        let TrianglePart { motion, hessian, cross, gradient } = part;
-        let transposed = s * motion.transpose();
+    /// Pose block of JtQJ after the appearance parameters are eliminated; zero where they are not determined.
+    pub(super) fn pose_hessian(&self, solver: &mut Solver) -> Matrix6<f64> {
+        let l = self.gradient.len() - 6;
+        let pose = self.hessian.fixed_view::<6, 6>(0, 0).into_owned();
+        let Solver { appearance, coupling, .. } = solver;
+        reset_matrix(appearance, l, l);
+        appearance.copy_from(&self.hessian.view((6, 6), (l, l)));
+        let Some(factor) = factor(appearance) else { return Matrix6::zeros() };
+        reset_matrix(coupling, l, 6);
+        coupling.copy_from(&self.hessian.view((6, 0), (l, 6)));
+        factor.solve_mut(coupling);
+        *appearance = factor.unpack_dirty();
+        let mut explained = Matrix6::zeros();
+        explained.gemm(1.0, &self.hessian.view((0, 6), (6, l)), coupling, 0.0);
+        pose - explained
+    }
+
+    fn start_from_prior(&mut self, appearance: &[f64]) {
+        let n = 6 + appearance.len();
+        reset_matrix(&mut self.hessian, n, n);
+        reset_matrix(&mut self.scatter, n, n);
+        reset_vector(&mut self.gradient, n);
+        (self.triangles, self.displacement) = (0, Matrix6::zeros());
+        for (k, lambda) in appearance.iter().enumerate() {
+            self.hessian[(6 + k, 6 + k)] = PRIOR_NOISE * PRIOR_NOISE;
+            self.gradient[6 + k] = PRIOR_NOISE * PRIOR_NOISE * lambda;
+        }
+    }
+
+    fn add_triangle(&mut self, here: &Contribution<'_>) {
+        let TrianglePart { motion, hessian, cross, gradient } = here.part;
+        let transposed = here.s * motion.transpose();
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
         pose += transposed * hessian * motion;
         let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
         pose_gradient += transposed * gradient;
-        let (row, share) = (rows.row(triangle).appearance(), s * rows.inside(level, triangle));
-        let appearance = &level.moments[triangle].appearance;
+        let (row, share) = (here.row(), here.s * here.inside());
+        let appearance = &here.moments().appearance;
         for k in 0..self.gradient.len() - 6 {
             let column = transposed * cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
             let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
@@ -193,7 +199,7 @@ impl NormalEquations {
             for (sum, product) in sums.iter_mut().skip(6).zip(products.iter().skip(FIRST_MODE)) {
                 *sum += share * product;
             }
-            self.gradient[6 + k] += s * row[FIRST_MODE + k];
+            self.gradient[6 + k] += here.s * row[FIRST_MODE + k];
         }
     }
 
@@ -201,34 +207,29 @@ impl NormalEquations {
     /// columns `gain_and_bias`).
     fn scatter_triangle(
         &mut self,
-        level: &LevelTemplate,
-        triangle: usize,
-        rows: &Rows<'_>,
-        s: f64,
-        part: &TrianglePart,
+        here: &Contribution<'_>,
         gain_and_bias: [(usize, f64); 2],
+        column: &mut Vec<f64>,
     ) {
         let n = self.gradient.len();
-        let (moments, inside) = (&level.moments[triangle], rows.inside(level, triangle));
+        let (part, appearance, inside) = (here.part, &here.moments().appearance, here.inside());
         let mut v = part.gradient;
         for (column, factor) in gain_and_bias {
             v += factor * part.cross.fixed_view::<6, 1>(0, column);
         }
-        let mut g = DVector::zeros(n);
-        g.fixed_rows_mut::<6>(0).copy_from(&(s * part.motion.transpose() * v));
+        column.clear();
+        column.extend(&(here.s * part.motion.transpose() * v));
         for k in 0..n - 6 {
-            let photometric: f64 = gain_and_bias
-                .iter()
-                .map(|(c, f)| f * inside * moments.appearance[(FIRST_MODE + k, *c)])
-                .sum();
-            g[6 + k] = s * (rows.row(triangle).appearance()[FIRST_MODE + k] + photometric);
+            let photometric: f64 =
+                gain_and_bias.iter().map(|(c, f)| f * inside * appearance[(FIRST_MODE + k, *c)]).sum();
+            column.push(here.s * (here.row()[FIRST_MODE + k] + photometric));
         }
+        let g = DVectorView::from_slice(column, n);
         self.scatter.ger(1.0, &g, &g, 1.0);
     }
 
     /// Schur complement of one group's gain and bias.
-    fn eliminate(&mut self, coupling: &Coupling, solution: &Solution) {
-        let Coupling { columns: [gain, bias] } = coupling;
+    fn eliminate(&mut self, [gain, bias]: [&[f64]; 2], solution: &Solution) {
         let inverse = &solution.inverse;
         for (j, (g, b)) in gain.iter().zip(bias).enumerate() {
             let with_gain = inverse[(0, 0)] * g + inverse[(0, 1)] * b;
@@ -241,40 +242,16 @@ impl NormalEquations {
     }
 }
 
-impl Coupling {
-    fn add(
-        &mut self,
-        level: &LevelTemplate,
-        triangle: usize,
-        rows: &Rows<'_>,
-        s: f64,
-        part: &TrianglePart,
-        centre: f64,
-    ) {
-        let (moments, share) = (&level.moments[triangle], s * rows.inside(level, triangle));
-        let modes = moments.appearance.ncols() - FIRST_MODE;
-        let one = part.cross.fixed_view::<6, 1>(0, BIAS);
-        let gain = part.cross.fixed_view::<6, 1>(0, GAIN) - centre * one;
-        let transposed = s * part.motion.transpose();
-        let pose = [transposed * gain, transposed * one];
-        for (column, pose) in self.columns.iter_mut().zip(pose) {
-            column.resize(6 + modes, 0.0);
-            for (sum, value) in column.iter_mut().zip(&pose) {
-                *sum += value;
-            }
-        }
-        for k in 0..modes {
-            let with = |column: usize| moments.appearance[(FIRST_MODE + k, column)];
-            self.columns[0][6 + k] += share * (with(GAIN) - centre * with(BIAS));
-            self.columns[1][6 + k] += share * with(BIAS);
-        }
-    }
-}
-
 /// Weighted mean squared residual after gain and bias with the given triangle weights, and the sum of weights.
-pub(super) fn cost(problem: &LevelProblem<'_>, appearance: &[f64], rows: &Rows<'_>, s: &[f64]) -> f64 {
-    let solutions = photometric::solve(&problem.groups, problem.level, rows, s);
-    mean_cost(rows, s, &solutions, appearance).0
+pub(super) fn cost(
+    problem: &LevelProblem<'_>,
+    appearance: &[f64],
+    rows: &Rows<'_>,
+    s: &[f64],
+    solutions: &mut Vec<Solution>,
+) -> f64 {
+    photometric::solve(problem.groups, problem.level, rows, s, solutions);
+    mean_cost(rows, s, solutions, appearance).0
 }
 
 /// The mean (not the sum) lets poses with different numbers of pixels inside the image be compared.

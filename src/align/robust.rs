@@ -2,6 +2,7 @@
 
 use super::normal_equations::{LevelProblem, Rows, triangle_rms};
 use super::photometric;
+use super::workspace::Scratch;
 
 /// Residuals below this are noise whatever the median says, grey levels.
 const NOISE_FLOOR: f64 = 2.5;
@@ -39,27 +40,33 @@ pub(super) fn triangle_weights(
     rows: &Rows<'_>,
     visibility: &[f64],
     redescent: Option<Redescent>,
-) -> Vec<f64> {
+    scratch: &mut Scratch,
+    weights: &mut Vec<f64>,
+) {
     let inside = |t: usize| rows.inside(problem.level, t) >= MIN_INSIDE;
-    let visible: Vec<f64> =
-        visibility.iter().enumerate().map(|(t, v)| if inside(t) { *v } else { 0.0 }).collect();
-    let Some(redescent) = redescent else { return visible };
-    let solutions = photometric::solve(&problem.groups, problem.level, rows, &visible);
-    let rms: Vec<f64> = (0..visible.len())
-        .map(|t| if visible[t] > 0.0 { triangle_rms(problem, rows, t, &solutions) } else { 0.0 })
-        .collect();
-    let scale = median(visible.iter().zip(&rms).filter(|(v, _)| **v > 0.0).map(|(_, r)| *r).collect())
-        .max(NOISE_FLOOR);
-    let weight = |t: usize| {
+    weights.clear();
+    weights.extend(visibility.iter().enumerate().map(|(t, v)| if inside(t) { *v } else { 0.0 }));
+    let Some(redescent) = redescent else { return };
+    let Scratch { solutions, rms, values, .. } = scratch;
+    photometric::solve(problem.groups, problem.level, rows, weights, solutions);
+    let rms_of = |(t, v): (usize, &f64)| {
+        if *v > 0.0 { triangle_rms(problem, rows, t, solutions) } else { 0.0 }
+    };
+    rms.clear();
+    rms.extend(weights.iter().enumerate().map(rms_of));
+    values.clear();
+    values.reserve(weights.len());
+    values.extend(weights.iter().zip(&*rms).filter(|(v, _)| **v > 0.0).map(|(_, r)| *r));
+    let scale = median(values).max(NOISE_FLOOR);
+    for (t, (weight, rms)) in weights.iter_mut().zip(rms).enumerate() {
         let gain = 1.0 + solutions[problem.groups.of_triangle[t]].value.x;
         let expected = scale.hypot(CONTRAST_PX * gain * problem.level.moments[t].contrast);
-        visible[t] * redescend(rms[t] / expected, redescent)
-    };
-    (0..visible.len()).map(weight).collect()
+        *weight *= redescend(*rms / expected, redescent);
+    }
 }
 
-/// Median; 0 for nothing.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
+/// Median; 0 for nothing. Changes the order of the values.
+pub(super) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return 0.0;
     }
@@ -79,7 +86,7 @@ mod tests {
 
     #[test]
     fn medians() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0, "odd");
-        assert_eq!(median(vec![]), 0.0, "nothing");
+        assert_eq!(median(&mut [3.0, 1.0, 2.0]), 2.0, "odd");
+        assert_eq!(median(&mut []), 0.0, "nothing");
     }
 }

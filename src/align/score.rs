@@ -1,8 +1,6 @@
 //! Does the image show the object where the pose says? Correlation per triangle tells right from wrong where
 //! residuals do not.
 
-use nalgebra::DVector;
-
 use super::normal_equations::Rows;
 use super::robust::median;
 use crate::model::LevelTemplate;
@@ -45,11 +43,14 @@ impl Score {
         rows: &Rows<'_>,
         visibility: &[f64],
         appearance: &[f64],
+        correlations: &mut Vec<f64>,
     ) -> Self {
         let seen = |t: usize| visibility[t] > 0.0 && rows.inside(level, t) >= MIN_INSIDE;
         let textured = |t: &usize| seen(*t) && level.moments[*t].variance() >= MIN_VARIANCE;
-        let correlations: Vec<f64> =
-            (0..visibility.len()).filter(textured).map(|t| correlation(level, rows, t, appearance)).collect();
+        let textured = (0..visibility.len()).filter(textured);
+        correlations.clear();
+        correlations.reserve(visibility.len());
+        correlations.extend(textured.map(|t| correlation(level, rows, t, appearance)));
         let all: f64 = level.moments.iter().map(|m| m.count).sum();
         let inside: f64 = (0..visibility.len()).map(|t| visibility[t] * rows.row(t).count()).sum();
         let visible = if all > 0.0 { inside / all } else { 0.0 };
@@ -67,13 +68,11 @@ impl Score {
 fn correlation(level: &LevelTemplate, rows: &Rows<'_>, triangle: usize, appearance: &[f64]) -> f64 {
     let (row, inside) = (rows.row(triangle), rows.inside(level, triangle));
     let b = &level.moments[triangle].appearance;
-    let mut a = DVector::zeros(b.nrows());
-    a[GAIN] = 1.0;
-    a.rows_mut(FIRST_MODE, appearance.len()).copy_from_slice(appearance);
-    let ba = b * &a * inside;
-    let aw: f64 = a.iter().zip(row.appearance()).map(|(a, w)| a * w).sum();
+    let a = || [(GAIN, 1.0)].into_iter().chain((FIRST_MODE..).zip(appearance.iter().copied()));
+    let ba = |row: usize| inside * a().map(|(k, a)| a * b[(row, k)]).sum::<f64>();
+    let aw: f64 = a().map(|(k, a)| a * row.appearance()[k]).sum();
     let n = row.weight();
-    let (t, tt) = (ba[BIAS], a.dot(&ba));
+    let (t, tt) = (ba(BIAS), a().map(|(k, a)| a * ba(k)).sum::<f64>());
     let (i, ti, ii) = (t - row.appearance()[BIAS], tt - aw, tt - 2.0 * aw + row.cost());
     let covariance = ti - t * i / n;
     let variances = (tt - t * t / n) * (ii - i * i / n);

@@ -3,10 +3,12 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::evaluator::{End, Evaluator, finish, visibility};
+use super::evaluator::{Evaluator, visibility};
 use super::inverse_compositional::InverseCompositional;
-use super::levenberg_marquardt::State;
+use super::levenberg_marquardt::{Descent, State};
 use super::normal_equations::{LevelProblem, Rows, cost};
+use super::photometric::Solution;
+use super::workspace::Workspace;
 use super::{PoseEstimate, Start, Target};
 use crate::backend::{Backend, Sums};
 use crate::error::Result;
@@ -30,23 +32,29 @@ impl InverseCompositional {
         backend: &mut dyn Backend,
         target: &Target<'_>,
         around: &Start,
+        work: &mut Workspace,
     ) -> Result<PoseEstimate> {
         let coarsest = LEVEL.min(target.model.levels.len() - 1);
-        let states = self.promising(backend, target, around, coarsest)?;
+        let promising = self.promising(backend, target, around, coarsest, work)?;
+        work.begin(&promising);
         // Occlusion is the business of full size: robust weights on coarse levels cost reach.
         let finest = 1.min(coarsest);
-        let descents = self.coarse_to_fine(backend, target, (finest..=coarsest).rev(), None, states)?;
+        self.coarse_to_fine(backend, target, (finest..=coarsest).rev(), None, work)?;
         let problem = self.problem(target, finest);
         let row_len = Sums::row_len(target.model.modes());
-        let misfit = |d: &super::inverse_compositional::Descended| {
-            let rows = Rows { data: &d.last.rows, row_len };
-            misfit(&problem, &d.last.state.appearance, &rows, &d.last.visibility)
+        let Workspace { descents, scratch, .. } = work;
+        let mut misfit = |d: &Descent| {
+            let rows = Rows { data: &d.rows, row_len };
+            misfit(&problem, &d.state.appearance, &rows, &d.visibility, &mut scratch.solutions)
         };
-        let best = descents.iter().min_by(|a, b| misfit(a).total_cmp(&misfit(b)));
-        let state =
-            best.map_or_else(|| state_at(around, around.camera_from_object), |d| d.last.state.clone());
-        let end = self.coarse_to_fine(backend, target, (0..=finest).rev(), Some(finest), vec![state])?;
-        Ok(finish(backend, target, end.into_iter().map(End::from).collect())?.remove(0))
+        let misfits: Vec<f64> = descents.iter().map(&mut misfit).collect();
+        let best = descents.iter().zip(misfits).min_by(|(_, a), (_, b)| a.total_cmp(b));
+        let start = best.map_or_else(|| around.clone(), |(d, _)| start_of(&d.state));
+        work.begin(&[start]);
+        self.coarse_to_fine(backend, target, (0..=finest).rev(), Some(finest), work)?;
+        let mut estimates = Vec::new();
+        work.finish(backend, target, &mut estimates)?;
+        Ok(estimates.remove(0))
     }
 
     /// The start and the shifts of it that fit best.
@@ -56,7 +64,8 @@ impl InverseCompositional {
         target: &Target<'_>,
         around: &Start,
         level: usize,
-    ) -> Result<Vec<State>> {
+        work: &mut Workspace,
+    ) -> Result<Vec<Start>> {
         let start = around.camera_from_object;
         let depth = start.transform_point(&target.model.shape.centre).z;
         let metres_per_px = Vector2::new(depth / target.camera.fx, depth / target.camera.fy);
@@ -72,10 +81,12 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         // What is visible hardly depends on the shift.
         let visible = visibility(target, &start);
-        let mut evaluator = Evaluator::new(backend, target, &problem);
-        evaluator.evaluate(states.iter().map(|s| (s, &visible)))?;
+        let Workspace { evaluation, scratch, .. } = work;
+        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
+        evaluator.evaluate(states.iter().map(|s| (s, &*visible)))?;
+        let solutions = &mut scratch.solutions;
         let misfits: Vec<f64> = (0..states.len())
-            .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible))
+            .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible, solutions))
             .collect();
         let mut order: Vec<usize> = (0..states.len()).collect();
         order.sort_by(|&a, &b| misfits[a].total_cmp(&misfits[b]));
@@ -85,9 +96,13 @@ impl InverseCompositional {
                 kept.push(k);
             }
         }
-        let chosen = kept.into_iter().map(|k| states[k].clone());
-        Ok(std::iter::once(state_at(around, start)).chain(chosen).collect())
+        let chosen = kept.into_iter().map(|k| start_of(&states[k]));
+        Ok(std::iter::once(around.clone()).chain(chosen).collect())
     }
+}
+
+fn start_of(state: &State) -> Start {
+    Start { camera_from_object: state.pose, appearance: state.appearance.clone() }
 }
 
 fn state_at(around: &Start, pose: Pose) -> State {
@@ -105,7 +120,13 @@ fn disc() -> Vec<Vector2<f64>> {
 
 /// Residual energy after gain and bias in units of the template's variance; large where little of the object is in the
 /// image.
-fn misfit(problem: &LevelProblem<'_>, appearance: &[f64], rows: &Rows<'_>, visibility: &[f64]) -> f64 {
+fn misfit(
+    problem: &LevelProblem<'_>,
+    appearance: &[f64],
+    rows: &Rows<'_>,
+    visibility: &[f64],
+    solutions: &mut Vec<Solution>,
+) -> f64 {
     let (mut variance, mut inside, mut all) = (0.0, 0.0, 0.0);
     for (t, moments) in problem.level.moments.iter().enumerate() {
         let weight = visibility[t] * rows.row(t).weight();
@@ -117,7 +138,7 @@ fn misfit(problem: &LevelProblem<'_>, appearance: &[f64], rows: &Rows<'_>, visib
     if inside < 0.5 * all || variance <= 0.0 {
         return f64::INFINITY;
     }
-    cost(problem, appearance, rows, visibility) * inside / variance
+    cost(problem, appearance, rows, visibility, solutions) * inside / variance
 }
 
 #[cfg(test)]

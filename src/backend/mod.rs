@@ -87,6 +87,15 @@ pub trait Backend: Send {
     /// What a person calls it: `cpu`, or the adapter's name.
     fn name(&self) -> String;
 
+    /// A backend with the models of this one and a frame of its own, for another stream. What is loaded is shared, not
+    /// copied.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] if this backend cannot be shared, which is the default.
+    fn another(&self) -> Result<Box<dyn Backend>> {
+        Err(Error::invalid("backend", format!("{} cannot be shared", self.name()), "open one per stream"))
+    }
+
     /// Makes a model available.
     ///
     /// # Errors

@@ -8,6 +8,7 @@ use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
 use super::backend::BackendArgs;
+use super::decode::Latency;
 use super::frames::{self, training_images};
 use super::method::MethodArgs;
 use super::progress;
@@ -150,6 +151,7 @@ fn run_direction(
         details: Some(&details),
         overlay: Some(&overlay),
         overlay_every: 10,
+        latency: Latency::Low,
         what: "tracking",
     };
     let estimates = track_scene(&mut tracker, &scene, &outputs)?;

@@ -3,6 +3,7 @@
 mod align;
 mod backend;
 mod bench;
+mod decode;
 mod demo;
 mod details;
 mod eval;

@@ -13,7 +13,7 @@ use crate::dataset::results::ResultWriter;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::model::Model;
-use crate::track::{Status, Tracked};
+use crate::track::{FrameTimes, Status, Tracked};
 
 /// A file that is written to `<path>.partial` and renamed when it is complete; devices and pipes are written
 /// directly.
@@ -122,6 +122,15 @@ pub(super) struct FrameRecord {
     correlation: f64,
     recognised: f64,
     time_ms: f64,
+    times: StageTimes,
+}
+
+/// Where the time of a frame went, milliseconds.
+#[derive(Debug, Serialize)]
+struct StageTimes {
+    decode_ms: f64,
+    #[serde(flatten)]
+    frame: FrameTimes,
 }
 
 #[derive(Debug, Serialize)]
@@ -139,7 +148,12 @@ impl PoseRecord {
 }
 
 impl FrameRecord {
-    pub(super) fn new(model: &Model, scene_id: u32, frame: u32, tracked: &Tracked) -> Self {
+    pub(super) fn new(
+        model: &Model,
+        (scene_id, frame): (u32, u32),
+        tracked: &Tracked,
+        decode_ms: f64,
+    ) -> Self {
         let e = &tracked.estimate;
         let covariance = to_ros_order(&e.covariance, &e.camera_from_object, &model.shape.centre);
         Self {
@@ -157,6 +171,7 @@ impl FrameRecord {
             correlation: e.score.correlation,
             recognised: e.score.recognised,
             time_ms: tracked.time_ms,
+            times: StageTimes { decode_ms, frame: tracked.times },
         }
     }
 }

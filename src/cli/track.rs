@@ -6,7 +6,8 @@ use anyhow::Context;
 use serde::Serialize;
 
 use super::backend::BackendArgs;
-use super::frames::{self, SceneArgs, pose_of};
+use super::decode::{Decoded, Latency, each_frame};
+use super::frames::{SceneArgs, pose_of};
 use super::method::MethodArgs;
 use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
 use super::summary::JsonArg;
@@ -41,6 +42,9 @@ pub(super) struct Args {
     overlay: Option<PathBuf>,
     #[command(flatten)]
     method: MethodArgs,
+    /// When the next frame is read; the results are the same
+    #[arg(long, value_enum, default_value_t)]
+    latency: Latency,
     #[command(flatten)]
     backend: BackendArgs,
     #[command(flatten)]
@@ -55,6 +59,8 @@ pub(super) struct Outputs<'a> {
     pub(super) overlay: Option<&'a Path>,
     /// Every how many frames a picture is written.
     pub(super) overlay_every: usize,
+    /// When frames are read.
+    pub(super) latency: Latency,
     /// Shown beside the progress bar.
     pub(super) what: &'a str,
 }
@@ -96,6 +102,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         details: args.details.as_deref(),
         overlay: args.overlay.as_deref(),
         overlay_every: 1,
+        latency: args.latency,
         what: "tracking",
     };
     let estimates = track_scene(&mut tracker, &scene, &outputs)?;
@@ -135,15 +142,16 @@ pub(super) fn track_scene(
     let bar = progress::frames(scene.frames.len(), outputs.what);
     let mut estimates = Vec::with_capacity(scene.frames.len());
     let object = tracker.model().object_id;
-    for (k, frame) in scene.frames.iter().enumerate() {
+    each_frame(scene, outputs.latency, |k, frame, decoded| {
         let so_far = || format!("{k} finished frames are in {}.partial", outputs.results.display());
-        let image = frames::read(frame).with_context(so_far)?;
+        let Decoded { image, decode_ms } = decoded.with_context(so_far)?;
         tracker.set_camera(frame.camera)?;
         let tracked = tracker.track(&image).with_context(so_far)?;
         let row = row((scene.id, frame.id, object), &tracked.estimate, tracked.status, tracked.time_ms);
         results.write(&row)?;
         if let Some(details) = &mut details {
-            details.write(&FrameRecord::new(tracker.model(), scene.id, frame.id, &tracked))?;
+            let place = (scene.id, frame.id);
+            details.write(&FrameRecord::new(tracker.model(), place, &tracked, decode_ms))?;
         }
         if let Some(folder) = outputs.overlay.filter(|_| k % outputs.overlay_every == 0) {
             let path = folder.join(format!("{:06}.png", frame.id));
@@ -159,7 +167,8 @@ pub(super) fn track_scene(
             iterations,
         });
         bar.inc(1);
-    }
+        Ok(())
+    })?;
     bar.finish_and_clear();
     results.finish()?;
     details.map_or(Ok(()), DetailsFile::finish)?;

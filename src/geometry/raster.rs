@@ -38,37 +38,64 @@ fn span(lo: f64, hi: f64, n: u32) -> Option<std::ops::Range<u32>> {
 /// at the camera's resolution. Triangles that face away, reach behind the camera or lie outside get 0. A triangle
 /// too small for any pixel is judged by the pixel nearest to its centroid.
 pub fn visible_shares(mesh: &TriangleMesh, camera: &Camera, pose: &Pose) -> Vec<f64> {
-    let projected: Vec<_> =
-        (0..mesh.triangles.len()).map(|t| Projected::new(mesh, t, camera, pose)).collect();
-    let (w, h) = (camera.width, camera.height);
-    let mut depth = vec![f64::INFINITY; w as usize * h as usize];
-    let at = |u: u32, v: u32| v as usize * w as usize + u as usize;
-    for t in projected.iter().flatten() {
-        for_each_pixel(&t.corners, w, h, |u, v| {
-            let z = t.depth(camera, u, v);
-            depth[at(u, v)] = depth[at(u, v)].min(z);
-        });
-    }
-    // (free pixels, all pixels) of a triangle.
-    let count = |t: &Projected, corners: &[Point2<f64>; 3]| {
-        let (mut free, mut all) = (0.0, 0.0);
-        for_each_pixel(corners, w, h, |u, v| {
-            all += 1.0;
-            free += f64::from(u8::from(t.depth(camera, u, v) * (1.0 - DEPTH_TOLERANCE) <= depth[at(u, v)]));
-        });
-        (free, all)
-    };
-    let share = |t: &Projected| {
-        let (free, all) = match count(t, &t.corners) {
-            (_, 0.0) => count(t, &[t.centroid_pixel(); 3]),
-            counted => counted,
+    let mut shares = Vec::new();
+    ZBuffer::default().visible_shares(mesh, camera, pose, &mut shares);
+    shares
+}
+
+/// The memory of [`visible_shares`], for calls in a row.
+#[derive(Debug, Default)]
+pub struct ZBuffer {
+    projected: Vec<Option<Projected>>,
+    depth: Vec<f64>,
+}
+
+impl ZBuffer {
+    /// As the function [`visible_shares`]; replaces what is in `shares`.
+    pub fn visible_shares(
+        &mut self,
+        mesh: &TriangleMesh,
+        camera: &Camera,
+        pose: &Pose,
+        shares: &mut Vec<f64>,
+    ) {
+        let Self { projected, depth } = self;
+        projected.clear();
+        projected.extend((0..mesh.triangles.len()).map(|t| Projected::new(mesh, t, camera, pose)));
+        let (w, h) = (camera.width, camera.height);
+        depth.clear();
+        depth.resize(w as usize * h as usize, f64::INFINITY);
+        let at = |u: u32, v: u32| v as usize * w as usize + u as usize;
+        for t in projected.iter().flatten() {
+            for_each_pixel(&t.corners, w, h, |u, v| {
+                let z = t.depth(camera, u, v);
+                depth[at(u, v)] = depth[at(u, v)].min(z);
+            });
+        }
+        // (free pixels, all pixels) of a triangle.
+        let count = |t: &Projected, corners: &[Point2<f64>; 3]| {
+            let (mut free, mut all) = (0.0, 0.0);
+            for_each_pixel(corners, w, h, |u, v| {
+                all += 1.0;
+                let is_free = t.depth(camera, u, v) * (1.0 - DEPTH_TOLERANCE) <= depth[at(u, v)];
+                free += f64::from(u8::from(is_free));
+            });
+            (free, all)
         };
-        if all == 0.0 { 0.0 } else { free / all }
-    };
-    projected.iter().map(|t| t.as_ref().map_or(0.0, share)).collect()
+        let share = |t: &Projected| {
+            let (free, all) = match count(t, &t.corners) {
+                (_, 0.0) => count(t, &[t.centroid_pixel(); 3]),
+                counted => counted,
+            };
+            if all == 0.0 { 0.0 } else { free / all }
+        };
+        shares.clear();
+        shares.extend(projected.iter().map(|t| t.as_ref().map_or(0.0, share)));
+    }
 }
 
 /// A triangle that faces the camera, in the image, with its plane n.X = d in the camera frame.
+#[derive(Debug)]
 struct Projected {
     corners: [Point2<f64>; 3],
     normal: nalgebra::Vector3<f64>,

@@ -27,9 +27,15 @@ impl Rectifier {
     /// The image as the pinhole camera would have seen it; pixels from outside are 0. Without distortion the
     /// image is handed back as it is.
     pub fn rectify(&self, image: GrayImage) -> GrayImage {
-        let Some(source) = &self.source else { return image };
+        let mut rectified = GrayImage::default();
+        if self.rectify_into(&image, &mut rectified) { rectified } else { image }
+    }
+
+    /// [`Self::rectify`] into the memory of another image; false, and nothing is written, without distortion.
+    pub fn rectify_into(&self, image: &GrayImage, rectified: &mut GrayImage) -> bool {
+        let Some(source) = &self.source else { return false };
         let sample = |[u, v]: &[f32; 2]| {
-            let value = bilinear(&image, f64::from(*u), f64::from(*v)).unwrap_or(0.0);
+            let value = bilinear(image, f64::from(*u), f64::from(*v)).unwrap_or(0.0);
             #[expect(
                 clippy::cast_possible_truncation,
                 clippy::cast_sign_loss,
@@ -38,8 +44,11 @@ impl Rectifier {
             let byte = value.round() as u8;
             byte
         };
-        let data = source.iter().map(sample).collect();
-        GrayImage::from_raw(self.width, self.height, data).expect("one byte per pixel")
+        let mut data = std::mem::take(rectified).into_raw();
+        data.clear();
+        data.extend(source.iter().map(sample));
+        *rectified = GrayImage::from_raw(self.width, self.height, data).expect("one byte per pixel");
+        true
     }
 }
 

@@ -2,12 +2,14 @@
 
 pub mod chart;
 pub mod file;
+pub mod groups;
 pub mod moments;
 pub mod shape;
 pub mod template;
 pub mod weights;
 
 pub use chart::{Chart, ChartGeometry};
+pub use groups::{Grouping, Groups};
 pub use moments::Moments;
 pub use shape::Shape;
 pub use template::{LevelTemplate, Model, Pixels, View};

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::chart::{Chart, ChartGeometry};
+use super::groups::{Grouping, Groups};
 use super::moments::Moments;
 use super::shape::Shape;
 use crate::error::{Error, Result};
@@ -55,6 +56,10 @@ pub struct LevelTemplate {
     pub geometry: Vec<Option<ChartGeometry>>,
     /// Sums over every chart that give JtQJ at any pose.
     pub moments: Vec<Moments>,
+    /// Triangles by face and view.
+    pub by_face: Groups,
+    /// Every triangle by itself.
+    pub by_triangle: Groups,
 }
 
 impl LevelTemplate {
@@ -81,14 +86,24 @@ impl LevelTemplate {
                     .flatten()
             })
             .collect();
-        let moments = charts
+        let moments: Vec<_> = charts
             .iter()
             .zip(&geometry)
             .map(|(c, g)| {
                 g.as_ref().map_or_else(|| Moments::zero(pixels.modes.len()), |g| Moments::new(&pixels, c, g))
             })
             .collect();
-        Ok(Self { pixels, charts, geometry, moments })
+        let groups = |grouping| Groups::new(grouping, shape, &charts, &moments);
+        let (by_face, by_triangle) = (groups(Grouping::FaceAndView), groups(Grouping::Triangle));
+        Ok(Self { pixels, charts, geometry, moments, by_face, by_triangle })
+    }
+
+    /// The groups of the level.
+    pub fn groups(&self, grouping: Grouping) -> &Groups {
+        match grouping {
+            Grouping::FaceAndView => &self.by_face,
+            Grouping::Triangle => &self.by_triangle,
+        }
     }
 }
 

@@ -1,13 +1,15 @@
 //! A sequence of frames: prediction, alignment, loss.
 
+mod batch;
 mod prediction;
 pub mod realign;
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use image::GrayImage;
 
-use crate::align::{Aligner, PoseEstimate, Start, Target};
+use crate::align::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose};
@@ -42,22 +44,58 @@ pub struct Tracked {
     pub estimate: PoseEstimate,
     /// Wall time of this frame, milliseconds.
     pub time_ms: f64,
+    /// Where it went.
+    pub times: FrameTimes,
+}
+
+/// Where the time of a frame went: wall time, milliseconds. What is left of the whole is prediction and bookkeeping.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct FrameTimes {
+    /// Removing lens distortion, on the host.
+    pub rectify_ms: f64,
+    /// Handing the frame to the backend, pyramid included.
+    pub set_frame_ms: f64,
+    /// The alignment of the predicted pose; zero but for the default method.
+    #[serde(flatten)]
+    pub align: AlignTimes,
+    /// Searching for what was not found there.
+    pub search_ms: f64,
+}
+
+impl Default for Tracked {
+    /// Nothing is known yet: memory for [`Tracker::track_into`].
+    fn default() -> Self {
+        Self {
+            status: Status::Lost,
+            estimate: PoseEstimate::default(),
+            time_ms: 0.0,
+            times: FrameTimes::default(),
+        }
+    }
 }
 
 /// Tracks one object through the frames of one camera.
 pub struct Tracker {
     backend: Box<dyn Backend>,
     aligner: Box<dyn Aligner>,
-    model: Model,
+    /// Shared with the trackers of other streams.
+    model: Arc<Model>,
     id: ModelId,
     camera: Camera,
     rectifier: Rectifier,
+    /// The current frame without lens distortion.
+    rectified: GrayImage,
+    /// Where the time of the current frame went.
+    times: FrameTimes,
     motion: Option<Motion>,
     appearance: Vec<f64>,
     /// True after a frame that was lost: coming back needs more evidence than going on.
     lost: bool,
     /// Median correlation in the last believed frame.
     correlation: f64,
+    /// Memory of the start and the estimate of a frame.
+    starts: Vec<Start>,
+    estimates: Vec<PoseEstimate>,
 }
 
 impl std::fmt::Debug for Tracker {
@@ -89,14 +127,18 @@ impl Tracker {
         Ok(Self {
             backend,
             aligner,
-            model,
+            model: Arc::new(model),
             id,
             camera,
             rectifier,
+            rectified: GrayImage::default(),
+            times: FrameTimes::default(),
             motion: None,
             appearance,
             lost: false,
             correlation: 1.0,
+            starts: Vec::new(),
+            estimates: Vec::new(),
         })
     }
 
@@ -136,15 +178,42 @@ impl Tracker {
     /// [`Error::Invalid`] before [`Self::start_at`] or for an image of another size than the camera's; errors of the
     /// backend. The tracker stays usable after an error.
     pub fn track(&mut self, image: &GrayImage) -> Result<Tracked> {
+        let mut tracked = Tracked::default();
+        self.track_into(image, &mut tracked)?;
+        Ok(tracked)
+    }
+
+    /// As [`Self::track`], in the memory of an earlier result. With the default method on the CPU backend, and a model
+    /// that one thread is enough for (see `docs/architecture.md`), nothing is allocated once every buffer has grown to
+    /// its size, as long as the object is tracked.
+    ///
+    /// # Errors
+    /// As [`Self::track`]; what is in `tracked` then means nothing.
+    pub fn track_into(&mut self, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
         let began = Instant::now();
         let Some(motion) = self.motion else {
             return Err(Error::invalid("tracker", "there is no pose to start from", "call start_at first"));
         };
-        let centre = self.model.shape.centre;
-        let start =
-            Start { camera_from_object: motion.predict(&centre), appearance: self.appearance.clone() };
-        let estimate = self.align(image, std::slice::from_ref(&start))?.remove(0);
-        let status = if believed(&estimate, self.lost) { Status::Tracking } else { Status::Lost };
+        let (mut starts, mut estimates) =
+            (std::mem::take(&mut self.starts), std::mem::take(&mut self.estimates));
+        starts.resize_with(1, Start::default);
+        starts[0].camera_from_object = motion.predict(&self.model.shape.centre);
+        starts[0].appearance.clone_from(&self.appearance);
+        let aligned = self.align_into(image, &starts, &mut estimates);
+        if aligned.is_ok() {
+            // The caller's memory is that of the next frame.
+            std::mem::swap(&mut tracked.estimate, &mut estimates[0]);
+        }
+        (self.starts, self.estimates) = (starts, estimates);
+        aligned?;
+        tracked.status = self.follow(motion, &tracked.estimate);
+        (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
+        Ok(())
+    }
+
+    /// Goes on from an estimate, if it is to be believed.
+    fn follow(&mut self, motion: Motion, estimate: &PoseEstimate) -> Status {
+        let status = if believed(estimate, self.lost) { Status::Tracking } else { Status::Lost };
         self.lost = status == Status::Lost;
         match status {
             Status::Tracking => {
@@ -157,7 +226,7 @@ impl Tracker {
                 self.appearance.fill(0.0);
             }
         }
-        Ok(Tracked { status, estimate, time_ms: began.elapsed().as_secs_f64() * 1e3 })
+        status
     }
 
     /// Aligns every start with one frame, each on its own, and leaves the track as it is. Around starts from which
@@ -166,12 +235,28 @@ impl Tracker {
     /// # Errors
     /// As [`Self::track`].
     pub fn align(&mut self, image: &GrayImage, starts: &[Start]) -> Result<Vec<PoseEstimate>> {
+        let mut estimates = Vec::new();
+        self.align_into(image, starts, &mut estimates)?;
+        Ok(estimates)
+    }
+
+    fn align_into(
+        &mut self,
+        image: &GrayImage,
+        starts: &[Start],
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
         self.check_size(image)?;
-        let rectified = (!self.camera.distortion.is_none()).then(|| self.rectifier.rectify(image.clone()));
-        let image = rectified.as_ref().unwrap_or(image);
+        let began = Instant::now();
+        let is_rectified = self.rectifier.rectify_into(image, &mut self.rectified);
+        let image = if is_rectified { &self.rectified } else { image };
+        let rectify_ms = ms_since(began);
         self.backend.set_frame(image, self.aligner.levels(&self.model))?;
+        let set_frame_ms = ms_since(began) - rectify_ms;
         let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
-        let mut estimates = self.aligner.align(self.backend.as_mut(), &target, starts)?;
+        self.aligner.align(self.backend.as_mut(), &target, starts, estimates)?;
+        let align = self.aligner.times();
+        let began = Instant::now();
         for (estimate, start) in estimates.iter_mut().zip(starts) {
             let fell =
                 estimate.score.correlation < RECOVERED_CORRELATION.min(self.correlation - FALLEN_CORRELATION);
@@ -186,7 +271,8 @@ impl Tracker {
                 estimate.iterations = iterations;
             }
         }
-        Ok(estimates)
+        self.times = FrameTimes { rectify_ms, set_frame_ms, align, search_ms: ms_since(began) };
+        Ok(())
     }
 
     fn check_size(&self, image: &GrayImage) -> Result<()> {
@@ -198,6 +284,10 @@ impl Tracker {
         }
         Ok(())
     }
+}
+
+fn ms_since(began: Instant) -> f64 {
+    began.elapsed().as_secs_f64() * 1e3
 }
 
 /// Is the object where the estimate says? Coming back after a loss or by a search needs more evidence than going on.

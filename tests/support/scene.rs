@@ -4,7 +4,7 @@ use aam6d::backend::{ModelId, Request, TriangleWarp};
 use aam6d::geometry::mesh::{Faces, TriangleMesh};
 use aam6d::imaging::GrayImage;
 use aam6d::imaging::sample::bilinear;
-use aam6d::model::{Chart, LevelTemplate, Model, Moments, Pixels, Shape};
+use aam6d::model::{Chart, Grouping, Groups, LevelTemplate, Model, Moments, Pixels, Shape};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -164,7 +164,9 @@ fn model(pixels: Pixels, charts: Vec<Chart>) -> Model {
         Shape { mesh, faces: Faces::default(), corners: [Point3::origin(); 8], centre: Point3::origin() };
     let moments = vec![Moments::zero(pixels.modes.len()); charts.len()];
     let geometry = vec![None; charts.len()];
-    let level = LevelTemplate { pixels, charts, geometry, moments };
+    let groups = Groups::new(Grouping::Triangle, &shape, &charts, &moments);
+    let level =
+        LevelTemplate { pixels, charts, geometry, moments, by_face: groups.clone(), by_triangle: groups };
     Model { object_id: 1, shape, views: Vec::new(), levels: vec![level] }
 }
 

@@ -7,18 +7,18 @@ mod search;
 use image::GrayImage;
 use nalgebra::{Matrix6, RowVector6, Vector6};
 
-use super::evaluator::{Evaluator, check, levels_for_scores, scores, states_of, tracked_levels, visibility};
+use super::evaluator::{Evaluation, Evaluator, check, levels_for_scores, score, tracked_levels, visibility};
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost};
-use super::photometric::Grouping;
 use super::robust::{median, triangle_weights};
+use super::workspace::Scratch;
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
 use crate::error::{Error, Result};
 use crate::geometry::warp::increment_jacobian;
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Pyramid;
-use crate::model::Model;
+use crate::model::{Grouping, Model};
 use points::{EdgePoint, border_points, template_edges};
 use search::Line;
 
@@ -58,7 +58,7 @@ impl Default for EdgeOptions {
 }
 
 /// Robust alignment of edges, coarse to fine.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Edge {
     /// Choices.
     pub options: EdgeOptions,
@@ -94,7 +94,7 @@ impl Normal {
         if found.len() < MIN_POINTS {
             return None;
         }
-        let scale = 1.4826 * median(found.iter().map(|f| f.residual.abs()).collect());
+        let scale = 1.4826 * median(&mut found.iter().map(|f| f.residual.abs()).collect::<Vec<_>>());
         let cut = TUKEY * scale.max(MIN_SCALE_PX);
         let zero = Matrix6::zeros();
         let mut sum = Self { hessian: zero, gradient: Vector6::zeros(), variance: 0.0, metric: zero };
@@ -176,13 +176,15 @@ impl Edge {
         let problem = LevelProblem::new(target, 0, Grouping::Triangle);
         let state = State { pose: end.pose, appearance: start.appearance.clone() };
         let visibility = visibility(target, &end.pose);
-        let mut evaluator = Evaluator::new(backend, target, &problem);
-        evaluator.evaluate([(&state, &visibility)].into_iter())?;
+        let (mut evaluation, mut scratch, mut weights) =
+            (Evaluation::default(), Scratch::default(), Vec::new());
+        let mut evaluator = Evaluator::new(backend, target, &problem, &mut evaluation);
+        evaluator.evaluate(std::iter::once((&state, &*visibility)))?;
         let rows: Rows<'_> = evaluator.rows(0);
-        let weights = triangle_weights(&problem, &rows, &visibility, None);
-        let mean = cost(&problem, &state.appearance, &rows, &weights);
+        triangle_weights(&problem, &rows, &visibility, None, &mut scratch, &mut weights);
+        let mean = cost(&problem, &state.appearance, &rows, &weights, &mut scratch.solutions);
         Ok(PoseEstimate {
-            score: scores(backend, target, std::iter::once((&state, &visibility)))?.remove(0),
+            score: score(backend, target, &state, &visibility)?,
             hessian: end.hessian,
             covariance: end.covariance,
             rms: if mean.is_finite() { mean.max(0.0).sqrt() } else { 0.0 },
@@ -229,27 +231,32 @@ impl Aligner for Edge {
         Ok(())
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
+    }
+
     fn align(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>> {
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
         check(target, starts)?;
         if self.levels.len() != target.model.levels.len() {
             return Err(Error::invalid("aligner", "it is not prepared for this model", "call prepare first"));
         }
         let pyramid = Pyramid::new(target.image.clone(), self.levels.len());
-        let mut estimates = Vec::with_capacity(starts.len());
-        for (state, start) in states_of(starts).into_iter().zip(starts) {
+        estimates.clear();
+        for start in starts {
             let zero = Matrix6::zeros();
-            let mut at =
-                Descent { pose: state.pose, iterations: 0, converged: true, hessian: zero, covariance: zero };
+            let pose = start.camera_from_object.renormalised();
+            let mut at = Descent { pose, iterations: 0, converged: true, hessian: zero, covariance: zero };
             for level in tracked_levels(target.model) {
                 self.level(target, pyramid.level(level), level, &mut at);
             }
             estimates.push(Self::finish(backend, target, start, &at)?);
         }
-        Ok(estimates)
+        Ok(())
     }
 }

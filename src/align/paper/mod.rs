@@ -6,7 +6,7 @@ mod system;
 use nalgebra::{DVector, Matrix3, Point3, Vector6};
 
 use super::covariance::{from_reference_axes, hessian_of};
-use super::evaluator::{IDLE, check, levels_for_scores, narrow, scores, visibility};
+use super::evaluator::{IDLE, check, levels_for_scores, narrow, score, visibility};
 use super::levenberg_marquardt::State;
 use super::normal_equations::Rows;
 use super::{Aligner, PoseEstimate, Start, Target};
@@ -49,7 +49,7 @@ impl Default for PaperOptions {
 }
 
 /// Constant J, affine warp per triangle, Levenberg-Marquardt in two phases at full size.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Paper {
     /// Choices.
     pub options: PaperOptions,
@@ -57,7 +57,7 @@ pub struct Paper {
 }
 
 /// What is computed once per model.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Prepared {
     reference: Reference,
     /// The template with q = 1 in the backend.
@@ -155,7 +155,7 @@ impl Paper {
         Ok(PoseEstimate {
             hessian: hessian_of(&covariance, variance),
             covariance,
-            score: scores(pass.backend, target, std::iter::once((&state, &visible)))?.remove(0),
+            score: score(pass.backend, target, &state, &visible)?,
             rms: variance.sqrt(),
             camera_from_object: pose,
             appearance: at.appearance,
@@ -192,12 +192,17 @@ impl Aligner for Paper {
         Ok(())
     }
 
+    fn another(&self) -> Box<dyn Aligner> {
+        Box::new(self.clone())
+    }
+
     fn align(
-        &self,
+        &mut self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
         starts: &[Start],
-    ) -> Result<Vec<PoseEstimate>> {
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
         check(target, starts)?;
         let prepared = self
             .prepared
@@ -208,7 +213,11 @@ impl Aligner for Paper {
             return Err(Error::invalid("aligner", "it is prepared for another model", "call prepare first"));
         }
         let mut pass = Pass { backend, target, level, prepared, sums: Sums::default() };
-        starts.iter().map(|start| self.align_one(prepared, &mut pass, target, start)).collect()
+        estimates.clear();
+        for start in starts {
+            estimates.push(self.align_one(prepared, &mut pass, target, start)?);
+        }
+        Ok(())
     }
 }
 

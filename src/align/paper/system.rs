@@ -9,7 +9,7 @@ use crate::model::moments::FIRST_MODE;
 use crate::model::{ChartGeometry, LevelTemplate, Model, View};
 
 /// The reference view and the constant part of J.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Reference {
     /// H = I stands for the pose of this view.
     pub(super) view: View,
@@ -64,7 +64,7 @@ fn motion(view: &View, geometry: &ChartGeometry) -> Option<Matrix6<f64>> {
 }
 
 /// JtQJ and Sigma of eq. (18).
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct System {
     hessian: DMatrix<f64>,
     /// Diagonal of Sigma: column sums of squares of J, not weighted.

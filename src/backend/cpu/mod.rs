@@ -5,6 +5,8 @@ pub mod downsample;
 mod fast;
 pub mod linearize;
 
+use std::sync::Arc;
+
 use image::GrayImage;
 use rayon::prelude::*;
 
@@ -59,7 +61,8 @@ struct Loaded {
 pub struct CpuBackend {
     implementation: Implementation,
     level: fearless_simd::Level,
-    models: Vec<Vec<Loaded>>,
+    /// Shared with the backends of other streams.
+    models: Vec<Arc<Vec<Loaded>>>,
     frame: Pyramid,
     /// The frame as the fast implementation wants it.
     pairs: Vec<Pairs>,
@@ -133,13 +136,23 @@ impl Backend for CpuBackend {
         }
     }
 
+    fn another(&self) -> Result<Box<dyn Backend>> {
+        Ok(Box::new(Self {
+            implementation: self.implementation,
+            level: self.level,
+            models: self.models.clone(),
+            frame: Pyramid::default(),
+            pairs: Vec::new(),
+        }))
+    }
+
     fn load(&mut self, model: &Model) -> Result<ModelId> {
         let is_fast = self.implementation != Implementation::Twin;
         let load = |level: &LevelTemplate| Loaded {
             template: level.clone(),
             fast: is_fast.then(|| FastLevel::new(level)),
         };
-        self.models.push(model.levels.iter().map(load).collect());
+        self.models.push(Arc::new(model.levels.iter().map(load).collect()));
         Ok(ModelId(self.models.len() - 1))
     }
 

@@ -14,6 +14,7 @@ mod rows;
 pub mod shaders;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use image::GrayImage;
 use nalgebra::Matrix3;
@@ -58,7 +59,7 @@ pub struct GpuOptions {
 /// Does the image work on a graphics adapter.
 #[derive(Debug)]
 pub struct GpuBackend {
-    context: Context,
+    context: Arc<Context>,
     options: GpuOptions,
     partition: Partition,
     /// Layouts of the stages that add up charts, group by group.
@@ -66,7 +67,8 @@ pub struct GpuBackend {
     /// Those stages by name and number of mode planes, compiled when they are needed.
     passes: BTreeMap<(&'static str, u32), Pass>,
     downsample: Option<ComputePipeline>,
-    models: Vec<Vec<LoadedLevel>>,
+    /// Shared with the backends of other streams.
+    models: Vec<Arc<Vec<LoadedLevel>>>,
     frame: Option<Frame>,
     batch: Batch,
     readback: Readback,
@@ -86,7 +88,7 @@ impl GpuBackend {
     /// # Errors
     /// As [`Self::open`].
     pub fn open_with(selection: &AdapterSelection, options: GpuOptions) -> Result<Self> {
-        let context = Context::open(selection)?;
+        let context = Arc::new(Context::open(selection)?);
         let is_software = context.adapter.is_software;
         let partition = Partition::of_adapter(options.as_software.unwrap_or(is_software));
         let on_device = match options.pyramid {
@@ -232,6 +234,22 @@ impl Backend for GpuBackend {
         self.context.adapter.name.clone()
     }
 
+    fn another(&self) -> Result<Box<dyn Backend>> {
+        self.context.check()?;
+        Ok(Box::new(Self {
+            context: self.context.clone(),
+            options: self.options,
+            partition: self.partition,
+            layouts: self.layouts.clone(),
+            passes: self.passes.clone(),
+            downsample: self.downsample.clone(),
+            models: self.models.clone(),
+            frame: None,
+            batch: Batch::default(),
+            readback: Readback::default(),
+        }))
+    }
+
     fn load(&mut self, model: &Model) -> Result<ModelId> {
         let mut levels = Vec::with_capacity(model.levels.len());
         for template in &model.levels {
@@ -241,7 +259,7 @@ impl Backend for GpuBackend {
             }
             levels.push(level);
         }
-        self.models.push(levels);
+        self.models.push(Arc::new(levels));
         Ok(ModelId(self.models.len() - 1))
     }
 

@@ -54,9 +54,10 @@ impl Readback {
         });
         let wait = PollType::Wait { submission_index: Some(submission), timeout: Some(TIMEOUT) };
         context.device.poll(wait).map_err(|e| fault(e.to_string()))?;
-        // A destroyed device leaves the poll content; only the mapping tells.
+        // A destroyed device leaves the poll content; only the mapping tells. Another stream's thread may be the one that
+        // calls back, and a moment later.
         receiver
-            .try_recv()
+            .recv_timeout(TIMEOUT)
             .map_err(|e| fault(format!("no answer to the mapping: {e}")))?
             .map_err(|e| fault(e.to_string()))?;
         let view = slice.get_mapped_range().map_err(|e| fault(e.to_string()))?;

@@ -64,10 +64,10 @@ fn gpu(_adapter: &str) -> Option<(String, String)> {
     None
 }
 
-/// Most memory this process has ever used, MB, where the system tells.
-pub(super) fn peak_memory_mb() -> Option<f64> {
+/// Memory of this process, MB, where the system tells: `VmRSS:` now, `VmHWM:` at most.
+pub(super) fn memory_mb(which: &str) -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix(which))?;
     let kib: f64 = line.trim().trim_end_matches("kB").trim().parse().ok()?;
     Some(kib * 1024.0 / 1e6)
 }

@@ -10,9 +10,9 @@ use serde::Serialize;
 use super::Effort;
 use super::bandwidth;
 use super::workload::Workload;
-use crate::align::InverseCompositional;
+use crate::align::Method;
 use crate::backend::cpu::downsample::downsample;
-use crate::backend::{Backend, CpuBackend, ModelId, Request, Sums};
+use crate::backend::{Backend, CpuBackend, Linearization, ModelId, Request};
 use crate::error::Result;
 use crate::eval::statistics::median;
 use crate::model::Model;
@@ -74,7 +74,7 @@ pub(super) struct Times {
     pub(super) wall_ms: f64,
 }
 
-fn timed<T>(work: impl FnOnce() -> T) -> (T, Times) {
+pub(super) fn timed<T>(work: impl FnOnce() -> T) -> (T, Times) {
     let (wall, cpu) = (Instant::now(), ProcessTime::now());
     let value = work();
     let (cpu, wall) = (cpu.elapsed(), wall.elapsed());
@@ -105,7 +105,7 @@ pub(super) struct PassFigures {
 struct Runner {
     backend: Box<dyn Backend>,
     model: ModelId,
-    sums: Sums,
+    out: Linearization,
 }
 
 /// Measures all candidates and the limit in turns; the best round of each counts.
@@ -123,7 +123,7 @@ pub(super) fn passes(
         let mut backend = candidate.open()?;
         let model = backend.load(model)?;
         backend.set_frame(image, 1)?;
-        runners.push(Runner { backend, model, sums: Sums::default() });
+        runners.push(Runner { backend, model, out: Linearization::default() });
     }
     let mut fast = CpuBackend::new();
     let id = fast.load(model)?;
@@ -131,20 +131,18 @@ pub(super) fn passes(
     let data = vec![1_u32; bytes / 4];
     let level = fearless_simd::Level::new();
     let mut best = vec![f64::INFINITY; runners.len() + 2];
+    let mut best_linearize = vec![f64::INFINITY; runners.len()];
     for _ in 0..effort.rounds {
-        for (best, r) in best.iter_mut().zip(&mut runners) {
-            let request = Request {
-                model: r.model,
-                level: 0,
-                image_level: 0,
-                items: 1,
-                warps: &warps,
-                appearance: &appearance,
-            };
+        for ((best, linearize), r) in best.iter_mut().zip(&mut best_linearize).zip(&mut runners) {
+            let (model, warps, appearance) = (r.model, &*warps, &*appearance);
+            let request = Request { model, level: 0, image_level: 0, items: 1, warps, appearance };
             for _ in 0..CALLS {
-                let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.sums));
+                let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.out.sums));
                 done?;
                 *best = best.min(times.cpu_ms);
+                let (done, times) = timed(|| r.backend.linearize(&request, &mut r.out));
+                done?;
+                *linearize = linearize.min(times.cpu_ms);
             }
         }
         for _ in 0..CALLS {
@@ -156,11 +154,10 @@ pub(super) fn passes(
     }
     let pixels = model.levels[0].pixels.len();
     let per_px = |ms: f64| ms * 1e6 / pixels as f64;
-    let mut stages: Vec<_> = runners
-        .iter()
-        .zip(&best)
-        .map(|(r, ms)| StageFigure { stage: "accumulate", backend: r.backend.name(), ns_per_px: per_px(*ms) })
-        .collect();
+    let figure =
+        |stage, r: &Runner, ms: f64| StageFigure { stage, backend: r.backend.name(), ns_per_px: per_px(ms) };
+    let mut stages: Vec<_> = runners.iter().zip(&best).map(|(r, ms)| figure("accumulate", r, *ms)).collect();
+    stages.extend(runners.iter().zip(&best_linearize).map(|(r, ms)| figure("linearize", r, *ms)));
     let of_image = best[runners.len() + 1] * 1e6 / image_pixels(image);
     stages.push(StageFigure { stage: "downsample", backend: "cpu".into(), ns_per_px: of_image });
     Ok(PassFigures {
@@ -187,6 +184,7 @@ pub(super) struct LoadFigures {
 /// Tracking one stream.
 #[derive(Debug, Serialize)]
 pub(super) struct FrameFigures {
+    pub(super) method: Method,
     pub(super) backend: String,
     pub(super) modes: usize,
     /// Median over the frames.
@@ -201,9 +199,10 @@ pub(super) fn frames(
     workload: &Workload,
     model: &Model,
     candidate: &Candidate,
+    method: Method,
 ) -> Result<(LoadFigures, FrameFigures)> {
     let modes = model.modes();
-    let (tracker, open_and_load) = timed(|| tracker(workload, model, candidate));
+    let (tracker, open_and_load) = timed(|| tracker(workload, model, candidate, method));
     let mut tracker = tracker?;
     tracker.start_at(workload.poses[0]);
     let (mut cpu, mut wall, mut iterations, mut lost) = (Vec::new(), Vec::new(), 0, 0);
@@ -219,12 +218,19 @@ pub(super) fn frames(
     let backend = tracker.backend_name();
     let iterations = iterations as f64 / workload.images.len() as f64;
     let load = LoadFigures { backend: backend.clone(), modes, open_and_load };
-    Ok((load, FrameFigures { backend, modes, per_frame: Times { cpu_ms, wall_ms }, iterations, lost }))
+    Ok((
+        load,
+        FrameFigures { method, backend, modes, per_frame: Times { cpu_ms, wall_ms }, iterations, lost },
+    ))
 }
 
-fn tracker(workload: &Workload, model: &Model, candidate: &Candidate) -> Result<Tracker> {
-    let aligner = Box::new(InverseCompositional::default());
-    Tracker::new(model.clone(), workload.camera, candidate.open()?, aligner)
+pub(super) fn tracker(
+    workload: &Workload,
+    model: &Model,
+    candidate: &Candidate,
+    method: Method,
+) -> Result<Tracker> {
+    Tracker::new(model.clone(), workload.camera, candidate.open()?, method.aligner())
 }
 
 /// Many poses of one object in one frame.
@@ -245,7 +251,7 @@ pub(super) fn throughput(
     candidate: &Candidate,
     sizes: &[usize],
 ) -> Result<Vec<ThroughputFigures>> {
-    let mut tracker = tracker(workload, model, candidate)?;
+    let mut tracker = tracker(workload, model, candidate, Method::default())?;
     let mut figures = Vec::new();
     for &poses in sizes {
         let starts = workload.starts(model, poses);

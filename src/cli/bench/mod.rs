@@ -4,6 +4,7 @@ mod bandwidth;
 mod machine;
 mod measure;
 mod report;
+mod streams;
 mod workload;
 
 use std::path::{Path, PathBuf};
@@ -11,15 +12,22 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::summary::JsonArg;
+use crate::align::Method;
 use crate::dataset::write_atomically;
 use machine::Machine;
 use measure::{Candidate, FrameFigures, LoadFigures, PassFigures, ThroughputFigures};
+use streams::StreamFigures;
 use workload::Workload;
 
 /// Where `--write` writes.
 const DOCUMENT: &str = "docs/benchmarks.md";
 /// Appearance modes of the standard workloads.
-const MODES: [usize; 3] = [0, 4, 8];
+const MODES: [usize; 4] = [0, 4, 8, 16];
+/// Template pixels of the standard workloads, and of those that show how cost grows with them.
+const PIXELS: usize = 72_000;
+const SIZES: [usize; 4] = [4_500, 18_000, 72_000, 288_000];
+/// Modes where one number has to do.
+const STANDARD_MODES: usize = 4;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -61,8 +69,11 @@ struct Summary {
     template_px: Vec<usize>,
     triangles: usize,
     passes: Vec<PassFigures>,
+    /// As `passes`, for different numbers of pixels.
+    sizes: Vec<PassFigures>,
     frames: Vec<FrameFigures>,
     throughput: Vec<ThroughputFigures>,
+    streams: Vec<StreamFigures>,
     loads: Vec<LoadFigures>,
     peak_memory_mb: Option<f64>,
 }
@@ -72,32 +83,45 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     // One thread for all but the throughput of many poses: its time is what the work costs.
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let workload = Workload::new(effort.frames)?;
+    let standard = workload.model(STANDARD_MODES, PIXELS)?;
     let mut summary = Summary {
         machine: Machine::new(&args.adapter),
         effort,
-        template_px: workload.pixels(),
-        triangles: workload.model(0)?.shape.triangles(),
+        template_px: standard.levels.iter().map(|level| level.pixels.len()).collect(),
+        triangles: standard.shape.triangles(),
         passes: Vec::new(),
+        sizes: Vec::new(),
         frames: Vec::new(),
         throughput: Vec::new(),
+        streams: Vec::new(),
         loads: Vec::new(),
         peak_memory_mb: None,
     };
     let candidates = Candidate::all(&args.adapter);
     for modes in MODES {
-        let model = workload.model(modes)?;
+        let model = workload.model(modes, PIXELS)?;
         summary.passes.push(one.install(|| measure::passes(&workload, &model, &candidates, effort))?);
         for candidate in &candidates {
-            let (load, frame) = one.install(|| measure::frames(&workload, &model, candidate))?;
+            let method = Method::default();
+            let (load, frame) = one.install(|| measure::frames(&workload, &model, candidate, method))?;
             summary.loads.push(load);
             summary.frames.push(frame);
         }
     }
-    let model = workload.model(4)?;
-    for candidate in candidates.iter().filter(|c| !c.is_twin()) {
-        summary.throughput.extend(measure::throughput(&workload, &model, candidate, effort.poses)?);
+    for candidate in &candidates {
+        let method = Method::ForwardAdditive;
+        let (_, frame) = one.install(|| measure::frames(&workload, &standard, candidate, method))?;
+        summary.frames.push(frame);
     }
-    summary.peak_memory_mb = machine::peak_memory_mb();
+    for pixels in SIZES {
+        let model = workload.model(STANDARD_MODES, pixels)?;
+        summary.sizes.push(one.install(|| measure::passes(&workload, &model, &candidates, effort))?);
+    }
+    for candidate in candidates.iter().filter(|c| !c.is_twin()) {
+        summary.throughput.extend(measure::throughput(&workload, &standard, candidate, effort.poses)?);
+        summary.streams.extend(streams::streams(&workload, &standard, candidate, effort.poses)?);
+    }
+    summary.peak_memory_mb = machine::memory_mb("VmHWM:");
     let text = report::markdown(&summary)?;
     let document = args.write.then(|| Path::new(DOCUMENT));
     for path in args.markdown.as_deref().into_iter().chain(document) {

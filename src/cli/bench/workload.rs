@@ -1,4 +1,4 @@
-//! The standard workload: a simulated relief, 640x480, about 72,000 chart pixels, three levels.
+//! The standard workload: a simulated relief, 640x480, 72,000 chart pixels, three levels.
 
 use image::GrayImage;
 
@@ -7,15 +7,15 @@ use crate::backend::TriangleWarp;
 use crate::error::Result;
 use crate::geometry::warp::homography;
 use crate::geometry::{Camera, Pose};
-use crate::model::{LevelTemplate, Model};
+use crate::model::{Chart, LevelTemplate, Model, Pixels};
 use crate::simulate::{SceneKind, Sequence, SequenceOptions};
 use crate::train::{TrainOptions, TrainingImage, train};
 use nalgebra::Vector3;
 
-/// Training images: enough for eight modes.
-const TRAINING_IMAGES: usize = 10;
+/// Training images: enough for all modes.
+const TRAINING_IMAGES: usize = 18;
 /// Most appearance modes of any workload.
-const MOST_MODES: usize = 8;
+const MOST_MODES: usize = 16;
 /// Smallest and largest distance of the start poses, metres and radians.
 const START_OFFSET: f64 = 0.002;
 
@@ -57,18 +57,15 @@ impl Workload {
         })
     }
 
-    /// Pixels per level.
-    pub(super) fn pixels(&self) -> Vec<usize> {
-        self.model.levels.iter().map(|level| level.pixels.len()).collect()
-    }
-
-    /// The model with its first `modes` modes.
-    pub(super) fn model(&self, modes: usize) -> Result<Model> {
+    /// The model with its first `modes` modes and `pixels` pixels at full size, the other levels in proportion: pixels of
+    /// a chart are left out or taken again, evenly, which changes the amount of work and nothing else.
+    pub(super) fn model(&self, modes: usize, pixels: usize) -> Result<Model> {
         let (shape, views) = (&self.model.shape, &self.model.views);
+        #[expect(clippy::cast_precision_loss, reason = "pixel counts are far below 2^52")]
+        let share = pixels as f64 / self.model.levels[0].pixels.len() as f64;
         let cut = |(k, level): (usize, &LevelTemplate)| {
-            let mut pixels = level.pixels.clone();
-            pixels.modes.truncate(modes);
-            LevelTemplate::new(shape, views, k, pixels, level.charts.clone())
+            let (pixels, charts) = resampled(level, share, modes);
+            LevelTemplate::new(shape, views, k, pixels, charts)
         };
         let levels = self.model.levels.iter().enumerate().map(cut).collect::<Result<_>>()?;
         Ok(Model { levels, ..self.model.clone() })
@@ -100,4 +97,30 @@ impl Workload {
         };
         (0..count).map(start).collect()
     }
+}
+
+/// `share` times as many pixels in every chart, and the first `modes` modes.
+fn resampled(level: &LevelTemplate, share: f64, modes: usize) -> (Pixels, Vec<Chart>) {
+    let (from, mut charts) = (&level.pixels, level.charts.clone());
+    let mut taken = Vec::new();
+    // Rounding is carried along, so that the whole has the right size.
+    let (mut wanted, mut start) = (0.0, 0);
+    for chart in &mut charts {
+        let range = chart.range();
+        wanted += f64::from(chart.end - chart.start) * share;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of pixels")]
+        let end = if range.is_empty() { start } else { f64::round(wanted) as u32 };
+        let count = (end - start) as usize;
+        taken.extend((0..count).map(|k| range.start + k * range.len() / count));
+        (chart.start, chart.end, start) = (start, end, end);
+    }
+    let column = |values: &Vec<f32>| taken.iter().map(|&p| values[p]).collect();
+    let pixels = Pixels {
+        position: taken.iter().map(|&p| from.position[p]).collect(),
+        gradient: taken.iter().map(|&p| from.gradient[p]).collect(),
+        intensity: column(&from.intensity),
+        weight: column(&from.weight),
+        modes: from.modes.iter().take(modes).map(column).collect(),
+    };
+    (pixels, charts)
 }

@@ -8,6 +8,7 @@ use super::motion;
 use super::published;
 use super::record::{Below, FrameError, Run};
 use crate::align::{Method, Order};
+use crate::cli::decode::Latency;
 use crate::cli::method::aligner;
 use crate::cli::track::{Outputs, track_scene};
 use crate::eval::frames::frame_errors;
@@ -52,6 +53,7 @@ impl Plan<'_> {
             details: Some(&details),
             overlay: Some(&overlay),
             overlay_every: every,
+            latency: Latency::Low,
             what: &self.label,
         };
         let estimates = track_scene(&mut tracker, scene, &outputs)?;

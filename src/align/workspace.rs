@@ -1,0 +1,191 @@
+//! Memory that is kept from frame to frame: after the first frames of a track nothing is allocated any more.
+
+use std::time::Instant;
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use super::derivative::TrianglePart;
+use super::evaluator::{Evaluation, finish, ms_since};
+use super::levenberg_marquardt::Descent;
+use super::photometric::Solution;
+use super::{AlignTimes, PoseEstimate, Start, Target};
+use crate::backend::Backend;
+use crate::error::Result;
+use crate::geometry::raster::ZBuffer;
+
+/// What an aligner keeps between frames. It holds no result: every number is written before it is read.
+#[derive(Debug, Default)]
+pub(super) struct Workspace {
+    pub(super) descents: Vec<Descent>,
+    pub(super) evaluation: Evaluation,
+    pub(super) zbuffer: ZBuffer,
+    pub(super) scratch: Scratch,
+    pub(super) times: AlignTimes,
+}
+
+impl Workspace {
+    /// One descent per start.
+    pub(super) fn begin(&mut self, starts: &[Start]) {
+        (self.times, self.evaluation.spent_ms) = (AlignTimes::default(), 0.0);
+        self.descents.resize_with(starts.len(), Descent::default);
+        for (descent, start) in self.descents.iter_mut().zip(starts) {
+            descent.start_at(start.camera_from_object.renormalised(), &start.appearance);
+        }
+    }
+
+    /// Divides the time since the descents began.
+    pub(super) fn end_times(&mut self, began: Instant) {
+        self.times.accumulate_ms = self.evaluation.spent_ms;
+        self.times.solve_ms = ms_since(began) - self.times.visibility_ms - self.times.accumulate_ms;
+    }
+
+    /// The estimates of the descents.
+    pub(super) fn finish(
+        &mut self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        let began = Instant::now();
+        let Self { descents, evaluation, scratch, times, .. } = self;
+        finish(backend, target, descents.iter().map(Descent::ended), evaluation, scratch, estimates)?;
+        times.score_ms = ms_since(began);
+        Ok(())
+    }
+}
+
+/// What is needed while equations are assembled and solved.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    /// Gain and bias per group.
+    pub(super) solutions: Vec<Solution>,
+    /// Root mean square residual per triangle.
+    pub(super) rms: Vec<f64>,
+    /// Values to take a median of.
+    pub(super) values: Vec<f64>,
+    pub(super) couplings: Couplings,
+    pub(super) part: TrianglePart,
+    /// One number per parameter: a triangle's part in the gradient.
+    pub(super) column: Vec<f64>,
+    pub(super) solver: Solver,
+}
+
+/// Coupling of every group's gain and bias with the pose and the appearance parameters.
+#[derive(Debug, Default)]
+pub(super) struct Couplings {
+    parameters: usize,
+    /// Group by group the column of the gain, then that of the bias.
+    columns: Vec<f64>,
+    /// False until a triangle of the group takes part.
+    taking_part: Vec<bool>,
+}
+
+impl Couplings {
+    /// No couplings of `groups` groups with `parameters` parameters.
+    pub(super) fn reset(&mut self, groups: usize, parameters: usize) {
+        self.parameters = parameters;
+        self.columns.clear();
+        self.columns.resize(2 * groups * parameters, 0.0);
+        self.taking_part.clear();
+        self.taking_part.resize(groups, false);
+    }
+
+    /// Columns of gain and bias of a group that takes part from now on.
+    pub(super) fn of(&mut self, group: usize) -> [&mut [f64]; 2] {
+        self.taking_part[group] = true;
+        let n = self.parameters;
+        let (gain, bias) = self.columns[2 * group * n..][..2 * n].split_at_mut(n);
+        [gain, bias]
+    }
+
+    /// Groups that take part, with their columns of gain and bias.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (usize, [&[f64]; 2])> {
+        let n = self.parameters;
+        let groups = (0..).zip(&self.taking_part).filter(|(_, taking_part)| **taking_part);
+        groups.map(move |(group, _)| {
+            let (gain, bias) = self.columns[2 * group * n..][..2 * n].split_at(n);
+            (group, [gain, bias])
+        })
+    }
+}
+
+/// Memory of linear systems.
+#[derive(Debug)]
+pub(super) struct Solver {
+    /// 1 / sqrt of the diagonal of the last system.
+    pub(super) scale: DVector<f64>,
+    /// Right hand side, then solution.
+    pub(super) vector: DVector<f64>,
+    /// Scatter of all parameters, 6+l squared.
+    pub(super) scatter: DMatrix<f64>,
+    /// Block of the appearance parameters, l squared.
+    pub(super) appearance: DMatrix<f64>,
+    /// Block that couples appearance with the pose, l x 6.
+    pub(super) coupling: DMatrix<f64>,
+    /// The system, 6+l squared; empty while its factor is in use.
+    pub(super) system: DMatrix<f64>,
+}
+
+impl Default for Solver {
+    fn default() -> Self {
+        let (vector, matrix) = (DVector::zeros(0), DMatrix::zeros(0, 0));
+        Self {
+            scale: vector.clone(),
+            vector,
+            scatter: matrix.clone(),
+            appearance: matrix.clone(),
+            coupling: matrix.clone(),
+            system: matrix,
+        }
+    }
+}
+
+impl Solver {
+    /// The factor of `S (H + damping diag(H)) S` with S = diag(H)^-1/2, which makes metres and radians alike; `None` if
+    /// it is not positive definite. Its memory is to be given back to `system`.
+    pub(super) fn factor(&mut self, hessian: &DMatrix<f64>, damping: f64) -> Option<Cholesky<f64, Dyn>> {
+        let n = hessian.nrows();
+        if (0..n).map(|i| hessian[(i, i)]).any(|d| d <= 0.0 || !d.is_finite()) {
+            return None;
+        }
+        reset_vector(&mut self.scale, n);
+        for (i, scale) in self.scale.iter_mut().enumerate() {
+            *scale = 1.0 / hessian[(i, i)].sqrt();
+        }
+        copy_matrix(&mut self.system, hessian);
+        scale_both_sides(&mut self.system, &self.scale);
+        for i in 0..n {
+            self.system[(i, i)] += damping;
+        }
+        factor(&mut self.system)
+    }
+}
+
+/// The factor of a matrix in the matrix's own memory, which is to be given back by [`Cholesky::unpack_dirty`].
+pub(super) fn factor(matrix: &mut DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
+    Cholesky::new(std::mem::replace(matrix, DMatrix::zeros(0, 0)))
+}
+
+/// diag(scale) M diag(scale).
+pub(super) fn scale_both_sides(m: &mut DMatrix<f64>, scale: &DVector<f64>) {
+    for (mut column, by_column) in m.column_iter_mut().zip(scale) {
+        for (value, by_row) in column.iter_mut().zip(scale) {
+            *value = by_row * *value * by_column;
+        }
+    }
+}
+
+/// Makes a vector zero and of length `n`.
+pub(super) fn reset_vector(v: &mut DVector<f64>, n: usize) {
+    if v.len() == n { v.fill(0.0) } else { *v = DVector::zeros(n) }
+}
+
+/// Makes a matrix zero and of a size.
+pub(super) fn reset_matrix(m: &mut DMatrix<f64>, rows: usize, columns: usize) {
+    if m.shape() == (rows, columns) { m.fill(0.0) } else { *m = DMatrix::zeros(rows, columns) }
+}
+
+/// Copies a matrix into the memory of another.
+pub(super) fn copy_matrix(to: &mut DMatrix<f64>, from: &DMatrix<f64>) {
+    if to.shape() == from.shape() { to.copy_from(from) } else { to.clone_from(from) }
+}
