@@ -10,6 +10,7 @@ use image::GrayImage;
 use crate::align::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
 use crate::error::{Error, Result};
+use crate::find::{Finder, Priors};
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
 use crate::model::Model;
@@ -53,6 +54,8 @@ pub struct Tracker {
     camera: Camera,
     rectifier: Rectifier,
     motion: Option<Motion>,
+    /// Finds the object while there is no pose to start from.
+    finder: Option<(Finder, Priors)>,
     appearance: Vec<f64>,
     /// True after a frame that was lost: coming back needs more evidence than going on.
     lost: bool,
@@ -70,8 +73,8 @@ impl std::fmt::Debug for Tracker {
 }
 
 impl Tracker {
-    /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] before the
-    /// first frame.
+    /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] or
+    /// [`Self::start_by_search`] before the first frame.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
@@ -94,6 +97,7 @@ impl Tracker {
             camera,
             rectifier,
             motion: None,
+            finder: None,
             appearance,
             lost: false,
             correlation: 1.0,
@@ -105,6 +109,37 @@ impl Tracker {
         self.motion = Some(Motion::at_rest(camera_from_object));
         self.appearance.fill(0.0);
         (self.lost, self.correlation) = (false, 1.0);
+    }
+
+    /// Lets every next frame be searched until the object is found; `finder` is for the model and the rectified camera of
+    /// this tracker.
+    pub fn start_by_search(&mut self, finder: Finder, priors: Priors) {
+        self.motion = None;
+        self.finder = Some((finder, priors));
+    }
+
+    /// Searches a frame without a pose to start from; a frame without the object is lost.
+    fn find_first(&mut self, image: &GrayImage, began: Instant) -> Result<Tracked> {
+        self.check_size(image)?;
+        let Some((finder, priors)) = &self.finder else {
+            let remedy = "call start_at or start_by_search first";
+            return Err(Error::invalid("tracker", "there is no pose to start from", remedy));
+        };
+        let rectified = (!self.camera.distortion.is_none()).then(|| self.rectifier.rectify(image.clone()));
+        let image = rectified.as_ref().unwrap_or(image);
+        self.backend.set_frame(image, self.aligner.levels(&self.model))?;
+        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
+        let found = finder.find(self.backend.as_mut(), self.aligner.as_ref(), &target, priors)?;
+        let status = if found.best.is_some() { Status::Tracking } else { Status::Lost };
+        let Some(estimate) = found.best.or(found.rejected) else {
+            return Err(Error::invalid("search", "it ended without any pose", "report this as a bug"));
+        };
+        if status == Status::Tracking {
+            self.start_at(estimate.camera_from_object);
+            self.appearance.clone_from(&estimate.appearance);
+            self.correlation = estimate.score.correlation;
+        }
+        Ok(Tracked { status, estimate, time_ms: began.elapsed().as_secs_f64() * 1e3 })
     }
 
     /// Changes the camera of the following frames (zoom, another calibration per frame).
@@ -133,13 +168,11 @@ impl Tracker {
     /// Tracks the object into the next frame. After a lost frame the search goes on from the last believed pose.
     ///
     /// # Errors
-    /// [`Error::Invalid`] before [`Self::start_at`] or for an image of another size than the camera's; errors of the
+    /// [`Error::Invalid`] before [`Self::start_at`] or [`Self::start_by_search`], or for an image of another size than the camera's; errors of the
     /// backend. The tracker stays usable after an error.
     pub fn track(&mut self, image: &GrayImage) -> Result<Tracked> {
         let began = Instant::now();
-        let Some(motion) = self.motion else {
-            return Err(Error::invalid("tracker", "there is no pose to start from", "call start_at first"));
-        };
+        let Some(motion) = self.motion else { return self.find_first(image, began) };
         let centre = self.model.shape.centre;
         let start =
             Start { camera_from_object: motion.predict(&centre), appearance: self.appearance.clone() };

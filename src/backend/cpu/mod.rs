@@ -4,15 +4,18 @@ pub mod accumulate;
 pub mod downsample;
 mod fast;
 pub mod linearize;
+pub mod scan;
 
 use image::GrayImage;
 use rayon::prelude::*;
 
-use super::{Backend, Linearization, ModelId, Request, Sums};
+use super::{Backend, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, scanning};
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
 use fast::{FastLevel, Pairs, Tile};
+
+pub(super) use fast::FastScanner;
 
 /// A thread of the fast implementation gets at least this many pixels (times poses): waking a thread for less costs
 /// more processor time than it saves.
@@ -182,6 +185,10 @@ impl Backend for CpuBackend {
             }
         });
         Ok(())
+    }
+
+    fn scan(&mut self, request: &ScanRequest<'_>, peaks: &mut Vec<ScanPeak>) -> Result<()> {
+        scanning::on_host(self.implementation, request, peaks)
     }
 }
 
