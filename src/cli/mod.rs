@@ -10,6 +10,7 @@ mod experiment;
 mod frames;
 mod hand_eye;
 mod info;
+mod init;
 mod landmarks;
 mod overlay;
 mod progress;

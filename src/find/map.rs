@@ -2,7 +2,7 @@
 
 use crate::imaging::NormalisedGradient;
 
-/// Per pixel F_u, F_v, dF_u/du, dF_u/dv, dF_v/du, dF_v/dv.
+/// Per pixel `F_u, F_v, dF_u/du, dF_u/dv, dF_v/du, dF_v/dv`.
 #[derive(Debug, Clone)]
 pub(super) struct Map {
     width: usize,

@@ -22,7 +22,7 @@ use std::time::Instant;
 use crate::align::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::{Error, Result};
-use crate::geometry::{Camera, Pose};
+use crate::geometry::{Camera, Pose, Symmetries};
 use crate::model::Model;
 use atlas::Atlas;
 use templates::Templates;
@@ -50,13 +50,22 @@ pub struct FindOptions {
     pub density: f64,
     /// Points of a template at most.
     pub points: usize,
+    /// Turns after which the object looks the same: such poses are one.
+    pub symmetries: Symmetries,
     /// Hypotheses kept after the scan, after the descents on the scanned image, and on that of twice its size.
     pub kept: [usize; 3],
 }
 
 impl Default for FindOptions {
     fn default() -> Self {
-        Self { distance: None, distance_ratio: 1.14, density: 1.0, points: 100, kept: [768, 128, 6] }
+        Self {
+            distance: None,
+            distance_ratio: 1.14,
+            density: 1.0,
+            points: 100,
+            symmetries: Symmetries::default(),
+            kept: [768, 128, 6],
+        }
     }
 }
 
@@ -184,8 +193,11 @@ impl Finder {
 
     fn differ(&self, model: &Model, a: &PoseEstimate, b: &PoseEstimate) -> bool {
         let project = |pose: &Pose| hypotheses::corners(model, &self.camera, pose);
-        hypotheses::distance_px(&project(&a.camera_from_object), &project(&b.camera_from_object))
-            > DIFFERENT_PX
+        let seen = project(&a.camera_from_object);
+        let same = |motion: &Pose| {
+            hypotheses::distance_px(&seen, &project(&b.camera_from_object.compose(motion))) <= DIFFERENT_PX
+        };
+        !self.options.symmetries.motions().iter().any(same)
     }
 }
 

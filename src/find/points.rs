@@ -13,7 +13,7 @@ pub(super) struct SurfacePoint {
     pub(super) position: [f32; 3],
     /// Normalised gradient t.
     pub(super) value: [f32; 2],
-    /// dt_u/du, dt_u/dv, dt_v/du, dt_v/dv, per pixel; NaN where unknown.
+    /// `dt_u/du, dt_u/dv, dt_v/du, dt_v/dv`, per pixel; NaN where unknown.
     pub(super) slope: [f32; 4],
     /// Pixel of the rendering.
     pub(super) pixel: [i32; 2],

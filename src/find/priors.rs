@@ -39,7 +39,7 @@ impl Priors {
         // Seen from elsewhere in the image the object is turned with the line of sight; small against the limit.
         let turned = last.quaternion().angle_to(&pose.quaternion());
         let ratio = distance / last.translation().norm().max(f64::MIN_POSITIVE);
-        turned <= NEAR_TURN && ratio <= NEAR_DISTANCE && ratio >= 1.0 / NEAR_DISTANCE
+        turned <= NEAR_TURN && (1.0 / NEAR_DISTANCE..=NEAR_DISTANCE).contains(&ratio)
     }
 
     /// May the object's centre be at this pixel of the image at a level?

@@ -152,10 +152,12 @@ impl Finder {
         let one = |picture: &mut Rendering, h: &Hypothesis| {
             picture.render(&self.atlas, &camera, &h.pose);
             let points = surface_points(picture, &camera, &h.pose);
+            #[expect(clippy::cast_precision_loss, reason = "point counts are small")]
+            let size = points.len().max(1) as f64;
             let (points, share) = thinned(points, round.points);
             let ended = descend(&points, map, &camera, &h.pose, centre, round.settings);
-            // As if all points had been used: large objects have more evidence.
-            Hypothesis { pose: ended.pose, agreement: ended.agreement * f64::from(share).sqrt() }
+            let q: f64 = std::env::var("SQ").map_or(0.0, |q| q.parse().unwrap());
+            Hypothesis { pose: ended.pose, agreement: ended.agreement * f64::from(share).sqrt() * size.powf(-q) }
         };
         hypotheses.par_iter().map_init(Rendering::default, one).collect()
     }

@@ -5,7 +5,7 @@ use image::GrayImage;
 /// Gradients of this size (grey levels per pixel) count half of the largest in energy; what is weaker is noise.
 pub const SOFTNESS: f32 = 3.0;
 
-/// (g_u, g_v) / sqrt(g_u^2 + g_v^2 + k^2) with central differences g and k = [`SOFTNESS`]: light and contrast hardly
+/// `(g_u, g_v) / sqrt(g_u^2 + g_v^2 + k^2)` with central differences g and k = [`SOFTNESS`]: light and contrast hardly
 /// change it, and no pixel counts more than 1.
 pub fn normalise([u, v]: [f32; 2]) -> [f32; 2] {
     let inverse = 1.0 / (u * u + v * v + SOFTNESS * SOFTNESS).sqrt();

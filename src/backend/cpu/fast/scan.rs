@@ -129,10 +129,10 @@ fn add_row<S: Simd>(simd: S, image: &Padded, v: usize, scratch: &mut Scratch) {
             let first = &image.channels[0][base + offset..][..length];
             let second = &image.channels[1][base + offset..][..length];
             let (a, b) = (S::f32s::splat(simd, *a), S::f32s::splat(simd, *b));
-            for k in 0..RUN {
+            for (k, sum) in sums.iter_mut().enumerate() {
                 let at = k * S::f32s::LEN..(k + 1) * S::f32s::LEN;
-                sums[k] = a.mul_add(S::f32s::from_slice(simd, &first[at.clone()]), sums[k]);
-                sums[k] = b.mul_add(S::f32s::from_slice(simd, &second[at]), sums[k]);
+                *sum = a.mul_add(S::f32s::from_slice(simd, &first[at.clone()]), *sum);
+                *sum = b.mul_add(S::f32s::from_slice(simd, &second[at]), *sum);
             }
         }
         for (k, sum) in sums.into_iter().enumerate() {
