@@ -163,6 +163,19 @@ impl Aligner for InverseCompositional {
         finish(backend, target, descents.into_iter().map(End::from).collect())
     }
 
+    fn refine(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+    ) -> Result<Vec<PoseEstimate>> {
+        check(target, starts)?;
+        let levels = tracked_levels(target.model).filter(|level| *level <= COARSEST_ROBUST);
+        let descents =
+            self.coarse_to_fine(backend, target, levels, self.options.robust, states_of(starts))?;
+        finish(backend, target, descents.into_iter().map(End::from).collect())
+    }
+
     fn search(
         &self,
         backend: &mut dyn Backend,

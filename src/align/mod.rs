@@ -103,6 +103,20 @@ pub trait Aligner: Send {
         starts: &[Start],
     ) -> Result<Vec<PoseEstimate>>;
 
+    /// As [`Self::align`] from starts that are right to a pixel or two, as a search ends: what hides a part of the object
+    /// may be left out from the beginning. Methods without anything better align.
+    ///
+    /// # Errors
+    /// As [`Self::align`].
+    fn refine(
+        &self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+    ) -> Result<Vec<PoseEstimate>> {
+        self.align(backend, target, starts)
+    }
+
     /// Looks for the object around a pose from which [`Self::align`] found nothing; `None` if the method has no
     /// search. The caller decides by the score whether to believe the estimate.
     ///

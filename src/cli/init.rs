@@ -70,7 +70,7 @@ impl Distances {
             (near > 0.0 && far >= near && far.is_finite()).then_some((near / 1000.0, far / 1000.0))
         };
         parse().ok_or_else(|| {
-            anyhow::anyhow!("--distance {}: give millimetres as MIN..MAX, e.g. 400..900", self.0)
+            anyhow::anyhow!("--distance {} is no range; give millimetres as MIN..MAX, e.g. 400..900", self.0)
         })
     }
 }
@@ -96,7 +96,10 @@ impl InitArgs {
         match &self.init {
             Init::Poses(source) => {
                 let narrowed = self.distance.is_some() || self.bounds.is_some() || self.models_info.is_some();
-                anyhow::ensure!(!narrowed, "--distance, --box and --models-info belong to --init auto");
+                anyhow::ensure!(
+                    !narrowed,
+                    "--distance, --box and --models-info narrow a search; leave them out or use --init auto"
+                );
                 let poses = dataset.poses(scene, tracker.model().object_id, source)?;
                 tracker.start_at(pose_of(&poses, first.id, source)?);
             }
@@ -118,7 +121,7 @@ impl InitArgs {
         let bounds = <[f64; 4]>::try_from(numbers.as_slice())
             .ok()
             .filter(|b| b.iter().all(|x| x.is_finite()) && b[2] > 0.0 && b[3] > 0.0);
-        let message = "--box: give left, top, width and height in pixels, e.g. 100,80,320,240";
+        let message = "--box is no box; give left, top, width and height in pixels, e.g. 100,80,320,240";
         Ok(Some(bounds.ok_or_else(|| anyhow::anyhow!(message))?))
     }
 

@@ -74,7 +74,8 @@ mod tests {
         ] {
             let bytes = text.replacen(from, to, 1);
             assert_ne!(bytes, text, "{from} is in the sample");
-            let error = with_file("models_info.json", bytes.as_bytes(), |p| read_symmetries(p, 1)).unwrap_err();
+            let error =
+                with_file("models_info.json", bytes.as_bytes(), |p| read_symmetries(p, 1)).unwrap_err();
             assert!(error.to_string().contains(expected), "{error}");
         }
     }

@@ -45,7 +45,8 @@ mod tests {
     use crate::dataset::damage::{damaged, with_file};
     use proptest::prelude::*;
 
-    const POINTS: &[u8] = br#"[{"pixel": [10, 20.5], "point_mm": [1, 2, 3]}, {"pixel": [1, 2], "point_mm": [0, 0, 0]},
+    const POINTS: &[u8] =
+        br#"[{"pixel": [10, 20.5], "point_mm": [1, 2, 3]}, {"pixel": [1, 2], "point_mm": [0, 0, 0]},
  {"pixel": [3, 4], "point_mm": [5, 0, 0]}, {"pixel": [5, 6], "point_mm": [0, 5, 0]}]"#;
 
     #[test]

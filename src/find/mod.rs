@@ -64,7 +64,7 @@ impl Default for FindOptions {
             density: 1.0,
             points: 100,
             symmetries: Symmetries::default(),
-            kept: [768, 128, 6],
+            kept: [1200, 128, 6],
         }
     }
 }
@@ -157,7 +157,7 @@ impl Finder {
             .iter()
             .map(|h| Start { camera_from_object: h.pose, appearance: vec![0.0; target.model.modes()] })
             .collect();
-        let estimates = aligner.align(backend, target, &starts)?;
+        let estimates = aligner.refine(backend, target, &starts)?;
         self.judge(target, estimates, &mut found);
         let believed = found.best.iter().chain(&found.others);
         let kept = believed.map(|e| e.camera_from_object).collect();

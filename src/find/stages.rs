@@ -20,6 +20,10 @@ const PEAKS_PER_TEMPLATE: usize = 3;
 /// Hypotheses that end nearer than this to each other are one (rms of the corners, full-size pixels).
 const SAME_PX: f64 = 8.0;
 
+/// Hypotheses are ranked by z N^-this for N pixels: neighbouring pixels are no independent witnesses, and z alone favours
+/// what would be near.
+const FAVOUR: f64 = 0.2;
+
 /// One round of descents.
 #[derive(Debug, Clone, Copy)]
 struct Round {
@@ -156,8 +160,9 @@ impl Finder {
             let size = points.len().max(1) as f64;
             let (points, share) = thinned(points, round.points);
             let ended = descend(&points, map, &camera, &h.pose, centre, round.settings);
-            let q: f64 = std::env::var("SQ").map_or(0.0, |q| q.parse().unwrap());
-            Hypothesis { pose: ended.pose, agreement: ended.agreement * f64::from(share).sqrt() * size.powf(-q) }
+            // As if all points had been used, and less than their number would justify.
+            let agreement = ended.agreement * f64::from(share).sqrt() * size.powf(-FAVOUR);
+            Hypothesis { pose: ended.pose, agreement }
         };
         hypotheses.par_iter().map_init(Rendering::default, one).collect()
     }

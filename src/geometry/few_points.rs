@@ -31,7 +31,8 @@ pub fn solve(camera: &Camera, points: &[Point3<f64>], pixels: &[Point2<f64>]) ->
     }
     let centre = centroid(points);
     let spread = points.iter().map(|p| (p - centre).norm()).fold(0.0, f64::max);
-    let across = |axis: &Vector3<f64>| points.iter().map(|p| (p - centre).cross(axis).norm()).fold(0.0, f64::max);
+    let across =
+        |axis: &Vector3<f64>| points.iter().map(|p| (p - centre).cross(axis).norm()).fold(0.0, f64::max);
     let farthest = points.iter().map(|p| p - centre).max_by(|a, b| a.norm().total_cmp(&b.norm()));
     let axis = farthest.and_then(|a| a.try_normalize(0.0));
     if axis.is_none_or(|axis| across(&axis) <= NARROW * spread) {

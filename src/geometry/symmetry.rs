@@ -42,8 +42,10 @@ mod tests {
     #[test]
     fn turns_and_discrete_motions_combine() {
         let half = Pose::about(Vector3::x() * std::f64::consts::PI, Vector3::zeros(), &Point3::origin());
-        let all =
-            Symmetries { discrete: vec![half], continuous: vec![(Vector3::z_axis(), Point3::new(0.1, 0.0, 0.0))] };
+        let all = Symmetries {
+            discrete: vec![half],
+            continuous: vec![(Vector3::z_axis(), Point3::new(0.1, 0.0, 0.0))],
+        };
         let motions = all.motions();
         assert_eq!(motions.len(), 2 * 72, "both sides, all turns");
         assert_eq!(motions[0], Pose::identity(), "none comes first");

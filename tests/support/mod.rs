@@ -5,6 +5,7 @@
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod linear;
+pub(crate) mod scan;
 pub(crate) mod scene;
 pub(crate) mod sums;
 pub(crate) mod tracking;
