@@ -29,7 +29,7 @@ pub(super) struct InitArgs {
     /// Search only in this box of the first image, pixels
     #[arg(long = "box", value_name = "X,Y,W,H", value_delimiter = ',', num_args = 4)]
     bounds: Option<Vec<f64>>,
-    /// Symmetries of the object (models_info.json; default: that of the data set, if there is one)
+    /// Symmetries of the object (`models_info.json`; default: that of the data set, if there is one)
     #[arg(long, value_name = "FILE")]
     models_info: Option<PathBuf>,
 }

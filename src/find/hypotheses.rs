@@ -11,6 +11,8 @@ pub(super) struct Hypothesis {
     pub(super) pose: Pose,
     /// z = sum t.F / sqrt(sum |t|^2) over all pixels of the object.
     pub(super) agreement: f64,
+    /// sum t.F / sum |t|^2.
+    pub(super) likeness: f64,
 }
 
 /// Corners of the object's box in the image; a corner behind the camera is far away.

@@ -25,6 +25,7 @@ use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose, Symmetries};
 use crate::model::Model;
 use atlas::Atlas;
+use hypotheses::Hypothesis;
 use templates::Templates;
 
 pub use priors::Priors;
@@ -33,6 +34,10 @@ pub use priors::Priors;
 const SCAN_SIDE: u32 = 120;
 /// A found pose has at least this median correlation.
 const FOUND_CORRELATION: f64 = 0.8;
+/// A pose of which a part is hidden is found if this share of its triangles is recognised,
+const FOUND_SHARE: f64 = 0.42;
+/// and its edges are this much like those of the image (1: the same, 0: unrelated).
+const FOUND_LIKENESS: f64 = 0.4;
 /// Another pose is an ambiguity from this share of the best one's agreement on.
 const AMBIGUOUS_SHARE: f64 = 0.75;
 /// Poses whose corners are this far apart (rms, pixels) are different ones.
@@ -64,7 +69,7 @@ impl Default for FindOptions {
             density: 1.0,
             points: 100,
             symmetries: Symmetries::default(),
-            kept: [1200, 128, 6],
+            kept: [1200, 160, 8],
         }
     }
 }
@@ -173,14 +178,15 @@ impl Finder {
     /// Who is believed, and who is the best of them: the one with most agreement over the whole object. The correlation
     /// is a median, which a pose reaches as well that shows one face of a box where it is and the others elsewhere.
     fn judge(&self, target: &Target<'_>, estimates: Vec<PoseEstimate>, found: &mut Found) {
-        let agreement = self.agreement(target, &estimates);
-        let mut ranked: Vec<(f64, PoseEstimate)> = agreement.into_iter().zip(estimates).collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let (believed, rejected): (Vec<_>, Vec<_>) = ranked.into_iter().partition(|(_, e)| is_found(e));
-        let most = believed.first().map_or(0.0, |(z, _)| *z);
+        let looks = self.looks(target, &estimates);
+        let mut ranked: Vec<(Hypothesis, PoseEstimate)> = looks.into_iter().zip(estimates).collect();
+        ranked.sort_by(|a, b| b.0.agreement.total_cmp(&a.0.agreement));
+        let (believed, rejected): (Vec<_>, Vec<_>) =
+            ranked.into_iter().partition(|(look, e)| is_found(e, look.likeness));
+        let most = believed.first().map_or(0.0, |(look, _)| look.agreement);
         let mut believed = believed.into_iter();
         found.best = believed.next().map(|(_, e)| e);
-        for (_, estimate) in believed.filter(|(z, _)| *z >= AMBIGUOUS_SHARE * most) {
+        for (_, estimate) in believed.filter(|(look, _)| look.agreement >= AMBIGUOUS_SHARE * most) {
             let known = found.best.iter().chain(&found.others);
             if known.into_iter().all(|e| self.differ(target.model, e, &estimate)) {
                 found.others.push(estimate);
@@ -226,7 +232,10 @@ impl FindOptions {
     }
 }
 
-/// Is the object where the estimate says?
-fn is_found(estimate: &PoseEstimate) -> bool {
-    !estimate.score.is_lost() && estimate.score.correlation >= FOUND_CORRELATION
+/// Is the object where the estimate says? Where a part of it is hidden the median correlation is low, but the rest must
+/// be recognised, and edges of the whole must be where they should be.
+fn is_found(estimate: &PoseEstimate, likeness: f64) -> bool {
+    let score = &estimate.score;
+    let whole = !score.is_lost() && score.correlation >= FOUND_CORRELATION;
+    whole || (score.recognised >= FOUND_SHARE && likeness >= FOUND_LIKENESS)
 }

@@ -113,7 +113,7 @@ impl Finder {
         let hypothesis = |(score, template, [u, v]): (f32, u32, [u16; 2])| {
             let pose = &self.templates.poses[template as usize];
             let pose = grid::moved_to(&camera, pose, &self.templates.centre, f64::from(u), f64::from(v));
-            Hypothesis { pose, agreement: f64::from(score) }
+            Hypothesis { pose, agreement: f64::from(score), likeness: 0.0 }
         };
         Ok((chosen.len(), best.into_iter().map(hypothesis).collect()))
     }
@@ -132,16 +132,16 @@ impl Finder {
         (0..u32::try_from(self.templates.poses.len()).unwrap_or(u32::MAX)).filter(allowed).collect()
     }
 
-    /// How well estimates agree with the image at the finest level of the descents, z over all pixels.
-    pub(super) fn agreement(&self, target: &Target<'_>, estimates: &[PoseEstimate]) -> Vec<f64> {
+    /// How well estimates agree with the image at the finest level of the descents, over all pixels.
+    pub(super) fn looks(&self, target: &Target<'_>, estimates: &[PoseEstimate]) -> Vec<Hypothesis> {
         let level = self.level.saturating_sub(1);
         let pyramid = Pyramid::new(target.image.clone(), level + 1);
         let map = Map::new(&NormalisedGradient::new(pyramid.level(level)));
         let looks = Settings { iterations: 0, scale: f32::INFINITY };
         let round = Round { name: "judge", finer: 1, points: usize::MAX, settings: looks, kept: 0 };
-        let at = |e: &PoseEstimate| Hypothesis { pose: e.camera_from_object, agreement: 0.0 };
+        let at = |e: &PoseEstimate| Hypothesis { pose: e.camera_from_object, agreement: 0.0, likeness: 0.0 };
         let hypotheses: Vec<Hypothesis> = estimates.iter().map(at).collect();
-        self.descend_each(&map, level, round, &hypotheses).into_iter().map(|h| h.agreement).collect()
+        self.descend_each(&map, level, round, &hypotheses)
     }
 
     fn descend_each(
@@ -162,7 +162,7 @@ impl Finder {
             let ended = descend(&points, map, &camera, &h.pose, centre, round.settings);
             // As if all points had been used, and less than their number would justify.
             let agreement = ended.agreement * f64::from(share).sqrt() * size.powf(-FAVOUR);
-            Hypothesis { pose: ended.pose, agreement }
+            Hypothesis { pose: ended.pose, agreement, likeness: ended.likeness }
         };
         hypotheses.par_iter().map_init(Rendering::default, one).collect()
     }
