@@ -102,12 +102,12 @@ impl Searched {
             direction: aside.normalize(),
             diffuse: 0.6,
         };
-        let light = if k / 2 % 2 == 0 { lamp } else { Light::default() };
+        let light = if (k / 2).is_multiple_of(2) { lamp } else { Light::default() };
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         let occluder = (occlusion > 0.0).then_some(Occluder { fraction: occlusion, angle });
         let noise = Some(Noise { sigma: 2.0, seed: 5, frame: k });
         let view = View { pose: *pose, light, occluder, blur: 0.0, noise };
-        if k % 2 == 0 || occlusion > 0.0 {
+        if k.is_multiple_of(2) || occlusion > 0.0 {
             self.plain.clone().with_clutter(SEED, k).render_view(&view)
         } else {
             self.plain.render_view(&view)

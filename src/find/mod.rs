@@ -35,7 +35,9 @@ const SCAN_SIDE: u32 = 120;
 /// A found pose has at least this median correlation.
 const FOUND_CORRELATION: f64 = 0.8;
 /// A pose of which a part is hidden is found if this share of its triangles is recognised,
-const FOUND_SHARE: f64 = 0.42;
+const FOUND_SHARE: f64 = 0.48;
+/// has this median correlation,
+const HIDDEN_CORRELATION: f64 = 0.6;
 /// and its edges are this much like those of the image (1: the same, 0: unrelated).
 const FOUND_LIKENESS: f64 = 0.4;
 /// Another pose is an ambiguity from this share of the best one's agreement on.
@@ -162,7 +164,11 @@ impl Finder {
             .iter()
             .map(|h| Start { camera_from_object: h.pose, appearance: vec![0.0; target.model.modes()] })
             .collect();
-        let estimates = aligner.refine(backend, target, &starts)?;
+        let mut estimates = aligner.refine(backend, target, &starts)?;
+        // What is not hidden reaches farther from coarser levels.
+        if !estimates.iter().any(is_whole) {
+            estimates.extend(aligner.align(backend, target, &starts)?);
+        }
         self.judge(target, estimates, &mut found);
         let believed = found.best.iter().chain(&found.others);
         let kept = believed.map(|e| e.camera_from_object).collect();
@@ -236,6 +242,11 @@ impl FindOptions {
 /// be recognised, and edges of the whole must be where they should be.
 fn is_found(estimate: &PoseEstimate, likeness: f64) -> bool {
     let score = &estimate.score;
-    let whole = !score.is_lost() && score.correlation >= FOUND_CORRELATION;
-    whole || (score.recognised >= FOUND_SHARE && likeness >= FOUND_LIKENESS)
+    let hidden = score.correlation >= HIDDEN_CORRELATION && score.recognised >= FOUND_SHARE;
+    is_whole(estimate) || (hidden && likeness >= FOUND_LIKENESS)
+}
+
+/// Is it found with nothing of importance hidden?
+fn is_whole(estimate: &PoseEstimate) -> bool {
+    !estimate.score.is_lost() && estimate.score.correlation >= FOUND_CORRELATION
 }
