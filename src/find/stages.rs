@@ -36,14 +36,16 @@ struct Round {
 }
 
 impl Finder {
-    fn rounds(&self) -> [Round; 3] {
+    fn rounds(&self) -> [Round; 4] {
         let [_, second, third] = self.options.kept;
         let robust = |iterations| Settings { iterations, scale: 0.7 };
         let plain = Settings { iterations: 8, scale: f32::INFINITY };
+        let round = |name, finer, points, settings, kept| Round { name, finer, points, settings, kept };
         [
-            Round { name: "coarse", finer: 0, points: 250, settings: plain, kept: second },
-            Round { name: "middle", finer: 1, points: 500, settings: robust(12), kept: 4 * third },
-            Round { name: "fine", finer: 1, points: 1500, settings: robust(8), kept: third },
+            round("coarse", 0, 250, plain, second),
+            round("middle", 1, 500, robust(12), 4 * third),
+            round("fine", 1, 1500, robust(8), 2 * third),
+            round("finest", 2, 2000, robust(8), third),
         ]
     }
 
