@@ -27,7 +27,7 @@ pub(super) struct InitArgs {
     #[arg(long, value_name = "MIN..MAX")]
     distance: Option<Distances>,
     /// Search only in this box of the first image, pixels
-    #[arg(long = "box", value_name = "X,Y,W,H", value_delimiter = ',', num_args = 4)]
+    #[arg(long = "box", value_name = "X,Y,W,H", value_delimiter = ',', num_args = 1)]
     bounds: Option<Vec<f64>>,
     /// Symmetries of the object (`models_info.json`; default: that of the data set, if there is one)
     #[arg(long, value_name = "FILE")]

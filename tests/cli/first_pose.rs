@@ -11,7 +11,7 @@ fn a_track_starts_by_itself() {
     let t = json(&format!("{track} --distance 500..700 --out {}/r.csv", out.display()));
     assert_eq!(t["tracked"].as_u64(), Some(FRAMES as u64), "found in the first frame: {t}");
     // Nothing of the object is where it is looked for: every frame is lost, and none is an error.
-    let t = json(&format!("{track} --distance 500..700 --box 0,0,60,60 --out {}/e.csv", out.display()));
+    let t = json(&format!("{track} --distance 500..700 --box 0,0,150,400 --out {}/e.csv", out.display()));
     assert_eq!(t["lost"].as_u64(), Some(FRAMES as u64), "{t}");
 }
 
