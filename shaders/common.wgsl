@@ -39,6 +39,18 @@ struct Warp {
     row_w: vec4f,
 }
 
+/// An image that is scanned.
+struct Scan {
+    /// Width, pixels.
+    width: u32,
+    /// Height, pixels.
+    height: u32,
+    /// Tiles along u.
+    columns: u32,
+    /// Side of a tile, pixels.
+    tile: u32,
+}
+
 /// One step of the pyramid. Rows hold four pixels per word and are padded.
 struct Halving {
     /// Words per row of the larger image.

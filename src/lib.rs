@@ -7,6 +7,7 @@ pub mod cli;
 pub mod dataset;
 pub mod error;
 pub mod eval;
+pub mod find;
 pub mod geometry;
 pub mod imaging;
 pub mod model;

@@ -11,7 +11,7 @@ use std::path::Path;
 use source::{Source, code_of, imports};
 
 /// Modules and their floors. A module may import lower floors; on the ground floor, the entries before it as well.
-const FLOORS: [(&str, u8); 12] = [
+const FLOORS: [(&str, u8); 13] = [
     ("error", 0),
     ("geometry", 0),
     ("imaging", 0),
@@ -21,9 +21,10 @@ const FLOORS: [(&str, u8); 12] = [
     ("backend", 3),
     ("train", 4),
     ("align", 4),
-    ("track", 5),
-    ("eval", 6),
-    ("cli", 7),
+    ("find", 5),
+    ("track", 6),
+    ("eval", 7),
+    ("cli", 8),
 ];
 /// `eval` judges the poses of any tracker, so it knows none.
 const EVAL_MAY_USE: [&str; 3] = ["error", "geometry", "dataset"];

@@ -4,6 +4,8 @@
 mod bad_input;
 #[path = "cli/bad_output.rs"]
 mod bad_output;
+#[path = "cli/first_pose.rs"]
+mod first_pose;
 #[path = "cli/program.rs"]
 mod program;
 
@@ -182,7 +184,7 @@ fn track_align_and_eval_work_together() {
     let path = |name: &str| out.join(name).display().to_string();
     let (model, data) = (m.model.display(), m.data.display());
     let t = json(&format!(
-        "track {model} {data} --scene 1 --backend cpu --out {} --details {} --overlay {} --tum {}",
+        "track {model} {data} --scene 1 --init gt --backend cpu --out {} --details {} --overlay {} --tum {}",
         path("new/results.csv"),
         path("details.jsonl"),
         path("overlay"),
@@ -286,7 +288,7 @@ fn two_runs_give_the_same_bytes() {
         done(&format!("simulate --frames {FRAMES} --out {}", path("data")));
         let train = format!("train {} --scene 2 --frames 0,1,2,3 --modes 2", path("data"));
         done(&format!("{train} --out {}", path("model")));
-        let track = format!("track {} {} --scene 1 --backend cpu", path("model"), path("data"));
+        let track = format!("track {} {} --scene 1 --init gt --backend cpu", path("model"), path("data"));
         done(&format!("{track} --out {} --details {}", path("results"), path("details")));
     };
     run(1);

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::mem::offset_of;
 
-use aam6d::backend::gpu::buffers::{Chunk, Halving, Level, Warp};
+use aam6d::backend::gpu::buffers::{Chunk, Halving, Level, Scan, Warp};
 use aam6d::backend::gpu::shaders::{
-    ACCUMULATE, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, Stage, WORKGROUP_BYTES, accumulate_planes,
-    linearize_planes,
+    ACCUMULATE, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, SCAN, Stage, WORKGROUP_BYTES,
+    accumulate_planes, linearize_planes,
 };
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, Literal, Module, StorageAccess, TypeInner};
 
-const STAGES: [Stage; 3] = [DOWNSAMPLE, ACCUMULATE, LINEARIZE];
+const STAGES: [Stage; 4] = [DOWNSAMPLE, ACCUMULATE, LINEARIZE, SCAN];
 /// A stage and its planes of sums by mode planes.
 type ChartStage = (Stage, fn(u32) -> u32);
 
@@ -85,6 +85,7 @@ fn host_layouts() -> Vec<(&'static str, Layout)> {
         host_layout!(Level { pixels, chunks, triangles, unused }),
         host_layout!(Chunk { start, end, triangle, unused }),
         host_layout!(Warp { row_u, row_v, row_w }),
+        host_layout!(Scan { width, height, columns, tile }),
         host_layout!(Halving { stride_in, stride_out, words, rows }),
     ]
 }

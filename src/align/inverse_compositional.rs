@@ -69,19 +69,20 @@ impl InverseCompositional {
         }
     }
 
-    /// Picks up predictions, with triangle weights from level `robust_from` down.
-    fn tracked(
+    /// Descends from the levels up to `coarsest`, with triangle weights from level `robust_from` down.
+    fn descend(
         &self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
-        robust_from: usize,
+        (coarsest, robust_from): (usize, usize),
         starts: &[Start],
         work: &mut Workspace,
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         let began = Instant::now();
         work.begin(starts);
-        let (levels, robust) = (tracked_levels(target.model), self.options.robust.then_some(robust_from));
+        let levels = tracked_levels(target.model).filter(|level| *level <= coarsest);
+        let robust = self.options.robust.then_some(robust_from);
         self.coarse_to_fine(backend, target, levels, robust, work)?;
         work.end_times(began);
         work.finish(backend, target, estimates)
@@ -97,14 +98,14 @@ impl InverseCompositional {
         work: &mut Workspace,
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
-        self.tracked(backend, target, COARSEST_ROBUST, starts, work, estimates)?;
+        self.descend(backend, target, (usize::MAX, COARSEST_ROBUST), starts, work, estimates)?;
         let lost: Vec<usize> = (0..starts.len()).filter(|&i| estimates[i].score.is_lost()).collect();
         if lost.is_empty() || !self.options.robust {
             return Ok(());
         }
         let (first, mut guarded) = (work.times, Vec::new());
         let again: Vec<Start> = lost.iter().map(|&i| starts[i].clone()).collect();
-        self.tracked(backend, target, usize::MAX, &again, work, &mut guarded)?;
+        self.descend(backend, target, (usize::MAX, usize::MAX), &again, work, &mut guarded)?;
         work.times += first;
         for (i, guarded) in lost.into_iter().zip(guarded) {
             let iterations = estimates[i].iterations + guarded.iterations;
@@ -201,6 +202,21 @@ impl Aligner for InverseCompositional {
         let aligned = self.picked_up(backend, target, starts, &mut work, estimates);
         self.work = work;
         aligned
+    }
+
+    fn refine(
+        &mut self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        check(target, starts)?;
+        let mut work = std::mem::take(&mut self.work);
+        let levels = (COARSEST_ROBUST, COARSEST_ROBUST);
+        let refined = self.descend(backend, target, levels, starts, &mut work, estimates);
+        self.work = work;
+        refined
     }
 
     fn search(

@@ -137,6 +137,21 @@ pub trait Aligner: Send {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()>;
 
+    /// As [`Self::align`] from starts that are right to a pixel or two, as a search ends: what hides a part of the object
+    /// may be left out from the beginning. Methods without anything better align.
+    ///
+    /// # Errors
+    /// As [`Self::align`].
+    fn refine(
+        &mut self,
+        backend: &mut dyn Backend,
+        target: &Target<'_>,
+        starts: &[Start],
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        self.align(backend, target, starts, estimates)
+    }
+
     /// Looks for the object around a pose from which [`Self::align`] found nothing; `None` if the method has no
     /// search. The caller decides by the score whether to believe the estimate.
     ///

@@ -8,7 +8,9 @@ pub mod cpu;
 pub mod gpu;
 mod linearization;
 mod local;
+pub mod scanning;
 mod sums;
+pub mod templates;
 
 use image::GrayImage;
 use nalgebra::Matrix3;
@@ -21,6 +23,7 @@ pub use cpu::{CpuBackend, Implementation, Instructions};
 pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
 pub use linearization::{LinearRow, Linearization};
 pub use sums::{Sums, SumsRow};
+pub use templates::{ScanPeak, ScanPoint, ScanRequest, ScanTemplates};
 
 /// A model loaded into a backend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -122,4 +125,15 @@ pub trait Backend: Send {
     /// # Errors
     /// As [`Self::accumulate`].
     fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()>;
+
+    /// Scores sparse templates of a normalised gradient at every position of an image; `peaks` gets the best position
+    /// of every tile, tile by tile (row by row) and template by template as chosen. Needs neither model nor frame, so
+    /// a backend that does not say otherwise does it on the host.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for a request that does not fit, [`crate::Error::DeviceLost`] or
+    /// [`crate::Error::Gpu`] if the device fails.
+    fn scan(&mut self, request: &ScanRequest<'_>, peaks: &mut Vec<ScanPeak>) -> Result<()> {
+        scanning::on_host(Implementation::default(), request, peaks)
+    }
 }

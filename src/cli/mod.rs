@@ -11,6 +11,7 @@ mod experiment;
 mod frames;
 mod hand_eye;
 mod info;
+mod init;
 mod landmarks;
 mod method;
 mod overlay;

@@ -7,13 +7,14 @@ use serde::Serialize;
 
 use super::backend::BackendArgs;
 use super::decode::{Decoded, Latency, each_frame};
-use super::frames::{SceneArgs, pose_of};
+use super::frames::SceneArgs;
+use super::init::InitArgs;
 use super::method::MethodArgs;
 use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
 use super::summary::JsonArg;
 use super::{overlay, progress};
 use crate::align::Method;
-use crate::dataset::{PoseSource, Scene};
+use crate::dataset::Scene;
 use crate::eval::Estimate;
 use crate::eval::statistics::{median, percentile};
 use crate::model::Model;
@@ -25,9 +26,8 @@ pub(super) struct Args {
     model: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Where the pose of the first frame comes from: scene_gt.json, scene_ref.json, or a file
-    #[arg(long, value_name = "gt|ref|FILE", default_value = "gt")]
-    init: PoseSource,
+    #[command(flatten)]
+    init: InitArgs,
     /// Results file to write (BOP CSV; score 0 means lost)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -90,13 +90,12 @@ struct Times {
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let model = Model::load(&args.model)?;
     let (dataset, scene) = args.scene.open()?;
-    let poses = dataset.poses(scene.id, model.object_id, &args.init)?;
     let aligner = args.method.aligner()?;
     let warning = args.method.misfit(&model);
     let opened = args.backend.open()?;
     let first = &scene.frames[0];
     let mut tracker = Tracker::new(model, first.camera, opened.backend, aligner)?;
-    tracker.start_at(pose_of(&poses, first.id, &args.init)?);
+    args.init.start(&mut tracker, &dataset, scene.id, first)?;
     let outputs = Outputs {
         results: &args.out,
         details: args.details.as_deref(),

@@ -153,6 +153,11 @@ impl Dataset {
         ply::read(&self.model_folder()?.join(format!("obj_{object_id:06}.ply")))
     }
 
+    /// `models_info.json` beside the meshes, if there is one.
+    pub fn models_info(&self) -> Option<PathBuf> {
+        self.model_folder().ok().map(|folder| folder.join("models_info.json")).filter(|path| path.is_file())
+    }
+
     /// Poses (`camera_from_object`, metres) of an object in a scene, by frame id.
     ///
     /// # Errors

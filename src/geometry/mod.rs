@@ -2,6 +2,7 @@
 
 pub mod bundle;
 pub mod camera;
+pub mod few_points;
 pub mod hand_eye;
 mod least_squares;
 pub mod mesh;
@@ -10,6 +11,7 @@ pub mod pose;
 pub mod raster;
 pub mod rigid_fit;
 pub mod stereo;
+pub mod symmetry;
 pub mod warp;
 
 pub use camera::{Camera, Distortion};
@@ -17,3 +19,4 @@ pub use hand_eye::HandEye;
 pub use mesh::TriangleMesh;
 pub use pose::Pose;
 pub use stereo::StereoRig;
+pub use symmetry::Symmetries;

@@ -69,7 +69,12 @@ fn refused(problem: impl Into<String>, remedy: &str) -> Error {
 }
 
 /// Least squares in pixels from a first guess; `None` if it has points behind the camera or no unique minimum.
-fn refine(camera: &Camera, points: &[Point3<f64>], pixels: &[Point2<f64>], start: Pose) -> Option<Fit<Pose>> {
+pub(super) fn refine(
+    camera: &Camera,
+    points: &[Point3<f64>],
+    pixels: &[Point2<f64>],
+    start: Pose,
+) -> Option<Fit<Pose>> {
     let centre = centroid(points);
     let residuals = |pose: &Pose| {
         let mut r = Vec::with_capacity(2 * points.len());

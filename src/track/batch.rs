@@ -24,6 +24,7 @@ impl Tracker {
             rectified: GrayImage::default(),
             times: FrameTimes::default(),
             motion: None,
+            finder: None,
             appearance: vec![0.0; self.appearance.len()],
             lost: false,
             correlation: 1.0,

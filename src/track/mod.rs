@@ -1,6 +1,7 @@
 //! A sequence of frames: prediction, alignment, loss.
 
 mod batch;
+mod first_pose;
 mod prediction;
 pub mod realign;
 
@@ -12,6 +13,7 @@ use image::GrayImage;
 use crate::align::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
 use crate::error::{Error, Result};
+use crate::find::{Finder, Priors};
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
 use crate::model::Model;
@@ -88,6 +90,8 @@ pub struct Tracker {
     /// Where the time of the current frame went.
     times: FrameTimes,
     motion: Option<Motion>,
+    /// Finds the object while there is no pose to start from.
+    finder: Option<(Finder, Priors)>,
     appearance: Vec<f64>,
     /// True after a frame that was lost: coming back needs more evidence than going on.
     lost: bool,
@@ -108,8 +112,8 @@ impl std::fmt::Debug for Tracker {
 }
 
 impl Tracker {
-    /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] before the
-    /// first frame.
+    /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] or
+    /// [`Self::start_by_search`] before the first frame.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
@@ -134,6 +138,7 @@ impl Tracker {
             rectified: GrayImage::default(),
             times: FrameTimes::default(),
             motion: None,
+            finder: None,
             appearance,
             lost: false,
             correlation: 1.0,
@@ -175,8 +180,8 @@ impl Tracker {
     /// Tracks the object into the next frame. After a lost frame the search goes on from the last believed pose.
     ///
     /// # Errors
-    /// [`Error::Invalid`] before [`Self::start_at`] or for an image of another size than the camera's; errors of the
-    /// backend. The tracker stays usable after an error.
+    /// [`Error::Invalid`] before [`Self::start_at`] or [`Self::start_by_search`], or for an image of another size than
+    /// the camera's; errors of the backend. The tracker stays usable after an error.
     pub fn track(&mut self, image: &GrayImage) -> Result<Tracked> {
         let mut tracked = Tracked::default();
         self.track_into(image, &mut tracked)?;
@@ -191,9 +196,7 @@ impl Tracker {
     /// As [`Self::track`]; what is in `tracked` then means nothing.
     pub fn track_into(&mut self, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
         let began = Instant::now();
-        let Some(motion) = self.motion else {
-            return Err(Error::invalid("tracker", "there is no pose to start from", "call start_at first"));
-        };
+        let Some(motion) = self.motion else { return self.find_first(image, began, tracked) };
         let (mut starts, mut estimates) =
             (std::mem::take(&mut self.starts), std::mem::take(&mut self.estimates));
         starts.resize_with(1, Start::default);

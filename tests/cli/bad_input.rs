@@ -16,7 +16,10 @@ fn damaged(test: &str, damage: impl FnOnce(&Path), parts: &[&str]) {
     let (data, to) = (data.display(), out.display());
     refused(&format!("train {data} --scene 1 --frames 0,2 --out {to}/model"), parts);
     if !parts.contains(&"obj_000001.ply") {
-        refused(&format!("track {} {data} --scene 1 --out {to}/results.csv", m.model.display()), parts);
+        refused(
+            &format!("track {} {data} --scene 1 --init gt --out {to}/results.csv", m.model.display()),
+            parts,
+        );
     }
     // A frame that cannot be read is noticed after the track has begun; what it leaves has no final name.
     let left = if out.exists() { names(&out) } else { Vec::new() };
@@ -28,9 +31,18 @@ fn damaged(test: &str, damage: impl FnOnce(&Path), parts: &[&str]) {
 fn files_that_are_missing() {
     let (m, out) = (made(), folder("missing"));
     let (data, model, to) = (m.data.display(), m.model.display(), out.display());
-    refused(&format!("track {model} {to}/nothing --scene 1 --out {to}/r.csv"), &["nothing", "os error"]);
-    refused(&format!("track {to}/no.aam6d {data} --scene 1 --out {to}/r.csv"), &["no.aam6d", "os error"]);
-    refused(&format!("track {model} {to} --scene 1 --out {to}/r.csv"), &["missing", "no scene folder"]);
+    refused(
+        &format!("track {model} {to}/nothing --scene 1 --init gt --out {to}/r.csv"),
+        &["nothing", "os error"],
+    );
+    refused(
+        &format!("track {to}/no.aam6d {data} --scene 1 --init gt --out {to}/r.csv"),
+        &["no.aam6d", "os error"],
+    );
+    refused(
+        &format!("track {model} {to} --scene 1 --init gt --out {to}/r.csv"),
+        &["missing", "no scene folder"],
+    );
     refused(&format!("eval {to}/no.csv {data} --scene 1"), &["no.csv", "os error"]);
     refused(&format!("track {model} {data} --scene 1 --init ref --out {to}/r.csv"), &["scene_ref.json"]);
     refused(&format!("track {model} {data} --scene 7 --out {to}/r.csv"), &["scene 7", "[1, 2]"]);
@@ -157,7 +169,7 @@ fn images_of_another_size() {
         &["000002.png", "320x240"],
     );
     let results = to.join("results.csv");
-    let track = format!("track {model} {data} --scene 1 --out {}", results.display());
+    let track = format!("track {model} {data} --scene 1 --init gt --out {}", results.display());
     refused(&track, &["000002.png", "320x240", "2 finished frames are in", "results.csv.partial"]);
     // What is finished is kept, under a name that says so.
     let partial = fs::read_to_string(results.with_extension("csv.partial")).expect("the finished frames");
@@ -178,7 +190,8 @@ fn nothing_to_see() {
     refused(&format!("train {shown} --scene 1 --frames 0,2 --out {}/m", to.display()), &["no triangle"]);
     assert!(!to.exists(), "{:?} was written", names(&to));
     // Where tracking starts there may be nothing to see: that is a lost object.
-    let outcome = run(&format!("track {model} {shown} --scene 1 --backend cpu --out {}/r.csv", to.display()));
+    let outcome =
+        run(&format!("track {model} {shown} --scene 1 --init gt --backend cpu --out {}/r.csv", to.display()));
     assert!(outcome.code == Some(0) && outcome.stdout.contains("4 lost"), "{outcome:?}");
 }
 
@@ -190,8 +203,12 @@ fn models_that_are_damaged() {
         let (mut bytes, path) = (good.clone(), out.join(name));
         damage(&mut bytes);
         fs::write(&path, bytes).expect("written");
-        let words =
-            format!("track {} {} --scene 1 --out {}/r.csv", path.display(), m.data.display(), out.display());
+        let words = format!(
+            "track {} {} --scene 1 --init gt --out {}/r.csv",
+            path.display(),
+            m.data.display(),
+            out.display()
+        );
         refused(&words, &[parts, &[name]].concat());
     };
     check("cut", &|b| b.truncate(b.len() / 2), &["payload", "the header says", "train the model again"]);
@@ -246,7 +263,7 @@ fn frames_and_starts_that_do_not_exist() {
     let gone = copied("frames_without_pose");
     let gt = gone.join(SCENE).join("scene_gt.json");
     replace(&gt, "\"0\":", "\"10\":");
-    let words = format!("track {model} {} --scene 1 --out {to}/r.csv", gone.display());
+    let words = format!("track {model} {} --scene 1 --init gt --out {to}/r.csv", gone.display());
     refused(&words, &["scene_gt.json: no pose for frame 0"]);
     fs::write(out.join("d.jsonl"), "{\"frame\": 0}\n").expect("written");
     let eval = format!("eval {} {data} --scene 1 --details {to}/d.jsonl", m.results.display());

@@ -10,7 +10,7 @@ fn a_file_in_the_way_of_a_folder() {
     let (m, out) = (made(), folder("file_in_the_way"));
     fs::write(out.join("file"), "mine").expect("written");
     let (data, model, file) = (m.data.display(), m.model.display(), out.join("file").display().to_string());
-    let track = format!("track {model} {data} --scene 1 --backend cpu");
+    let track = format!("track {model} {data} --scene 1 --init gt --backend cpu");
     refused(&format!("simulate --frames 1 --out {file}/data"), &[&file]);
     refused(&format!("simulate --frames 1 --out {file}"), &[&file, "not a folder"]);
     refused(&format!("demo --frames 2 --out {file}/demo"), &[&file]);
@@ -32,7 +32,7 @@ fn a_folder_in_the_way_of_a_file() {
     fs::create_dir(&mine).expect("made");
     fs::write(mine.join("file"), "mine").expect("written");
     refused(&format!("train {data} --scene 1 --frames 0 --out {to}/mine"), &["mine"]);
-    refused(&format!("track {model} {data} --scene 1 --backend cpu --out {to}/mine"), &["mine"]);
+    refused(&format!("track {model} {data} --scene 1 --init gt --backend cpu --out {to}/mine"), &["mine"]);
     refused(&format!("simulate --frames 1 --out {to}/mine"), &["mine", "not empty", "new folder"]);
     refused(&format!("demo --frames 2 --out {to}/mine"), &["mine", "not from an earlier demo", "--out"]);
     assert_eq!(names(&mine), ["file"], "untouched");
@@ -42,7 +42,7 @@ fn a_folder_in_the_way_of_a_file() {
 fn adapters_that_are_not_there() {
     let (m, out) = (made(), folder("adapters"));
     let (data, model, to) = (m.data.display(), m.model.display(), out.display());
-    let track = format!("track {model} {data} --scene 1 --out {to}/r.csv");
+    let track = format!("track {model} {data} --scene 1 --init gt --out {to}/r.csv");
     refused(&format!("{track} --adapter no-such-device"), &["--backend cpu"]);
     refused(&format!("{track} --backend gpu --adapter 99"), &["--backend cpu"]);
     refused(&format!("{track} --backend cpu --adapter 0"), &["--adapter", "leave it out"]);
@@ -55,8 +55,12 @@ fn adapters_that_are_not_there() {
 fn no_driver() {
     let (m, out) = (made(), folder("no_driver"));
     let none = [("VK_DRIVER_FILES", "/no/such/driver.json"), ("VK_ICD_FILENAMES", "/no/such/driver.json")];
-    let track =
-        format!("track {} {} --scene 1 --out {}/r.csv", m.model.display(), m.data.display(), out.display());
+    let track = format!(
+        "track {} {} --scene 1 --init gt --out {}/r.csv",
+        m.model.display(),
+        m.data.display(),
+        out.display()
+    );
     let words = format!("{track} --backend gpu");
     check_refused(
         &words,

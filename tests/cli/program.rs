@@ -90,7 +90,7 @@ pub(crate) fn made() -> &'static Made {
         let Made { data, model, results } = &made;
         done(&format!("simulate --frames {FRAMES} --out {}", data.display()));
         done(&format!("train {} --scene 2 --frames 0,2 --out {}", data.display(), model.display()));
-        let track = format!("track {} {} --scene 1", model.display(), data.display());
+        let track = format!("track {} {} --scene 1 --init gt", model.display(), data.display());
         done(&format!("{track} --backend cpu --out {}", results.display()));
         made
     });

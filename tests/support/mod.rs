@@ -7,6 +7,7 @@ pub(crate) mod day;
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod linear;
+pub(crate) mod scan;
 pub(crate) mod scene;
 pub(crate) mod sums;
 pub(crate) mod tracking;

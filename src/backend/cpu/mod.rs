@@ -4,17 +4,20 @@ pub mod accumulate;
 pub mod downsample;
 mod fast;
 pub mod linearize;
+pub mod scan;
 
 use std::sync::Arc;
 
 use image::GrayImage;
 use rayon::prelude::*;
 
-use super::{Backend, Linearization, ModelId, Request, Sums};
+use super::{Backend, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, scanning};
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
 use fast::{FastLevel, Pairs, Tile};
+
+pub(super) use fast::FastScanner;
 
 /// A thread of the fast implementation gets at least this many pixels (times poses): waking a thread for less costs
 /// more processor time than it saves.
@@ -195,6 +198,10 @@ impl Backend for CpuBackend {
             }
         });
         Ok(())
+    }
+
+    fn scan(&mut self, request: &ScanRequest<'_>, peaks: &mut Vec<ScanPeak>) -> Result<()> {
+        scanning::on_host(self.implementation, request, peaks)
     }
 }
 

@@ -62,6 +62,20 @@ impl Warp {
     }
 }
 
+/// An image that is scanned; `Scan` in `shaders/common.wgsl`.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Scan {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Tiles along u.
+    pub columns: u32,
+    /// Side of a tile, pixels.
+    pub tile: u32,
+}
+
 /// One step of the pyramid; `Halving` in `shaders/common.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]

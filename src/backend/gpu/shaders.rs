@@ -51,6 +51,19 @@ pub const DOWNSAMPLE: Stage = Stage {
     groups: &[&[("halving", Kind::Uniform), ("larger", Kind::Read), ("smaller", Kind::Write)]],
 };
 
+/// Templates at every position of an image.
+pub const SCAN: Stage = Stage {
+    name: "scan",
+    source: concat!(include_str!("../../../shaders/common.wgsl"), include_str!("../../../shaders/scan.wgsl")),
+    groups: &[&[
+        ("scanned", Kind::Uniform),
+        ("gradient", Kind::Read),
+        ("points", Kind::Read),
+        ("templates", Kind::Read),
+        ("peaks", Kind::Write),
+    ]],
+};
+
 /// The bindings of the stages that add up chunks of charts, `shaders/parts/chart_sums.wgsl`.
 const CHART_SUMS: &[&[(&str, Kind)]] = &[
     &[

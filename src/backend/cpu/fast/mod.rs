@@ -6,11 +6,13 @@
 
 mod kernel;
 mod pairs;
+mod scan;
 mod template;
 
 use fearless_simd::{Level, Simd, dispatch};
 
 pub(super) use pairs::Pairs;
+pub(in crate::backend) use scan::FastScanner;
 pub(super) use template::FastLevel;
 
 use kernel::Scratch;
