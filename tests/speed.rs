@@ -20,7 +20,7 @@ const CALLS: usize = 8;
 const TURNS: usize = 4;
 /// Neighbours can fill all turns of an attempt, so the test comes back after a pause. The best attempt counts:
 /// disturbances make the fast implementation, which lives by the cache, look worse, and none makes slow code pass.
-const ATTEMPTS: u32 = 12;
+const ATTEMPTS: u32 = 30;
 /// Pause before the second attempt; later ones are longer.
 const PAUSE: Duration = Duration::from_millis(50);
 

@@ -18,6 +18,10 @@ const MIN_TRIANGLES: usize = 3;
 pub(super) const LOST_CORRELATION: f64 = 0.56;
 /// A pose is lost below this share of recognised triangles.
 pub(super) const LOST_SHARE: f64 = 0.42;
+/// So much more than that is what right poses had at least and wrong ones lacked: the unit of the margin.
+const UNIT_CORRELATION: f64 = 0.03;
+/// The same for the share.
+const UNIT_SHARE: f64 = 0.045;
 
 /// Agreement of template and image at a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -35,6 +39,15 @@ impl Score {
     pub fn is_lost(&self) -> bool {
         // Written so that NaN is lost.
         !(self.correlation >= LOST_CORRELATION && self.recognised >= LOST_SHARE)
+    }
+
+    /// How far the pose is from being lost, in units in which right poses have 1 and wrong ones -1 or less; the smaller one
+    /// of both measures. [`crate::model::Calibration`] makes a probability of it.
+    pub fn margin(&self) -> f64 {
+        let correlation = (self.correlation - LOST_CORRELATION) / UNIT_CORRELATION;
+        let recognised = (self.recognised - LOST_SHARE) / UNIT_SHARE;
+        // Written so that NaN stays NaN.
+        if recognised < correlation || recognised.is_nan() { recognised } else { correlation }
     }
 
     /// Scores a pose from its sums; `visibility` is the share of each triangle that nothing hides.

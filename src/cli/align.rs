@@ -149,8 +149,9 @@ fn align_all(
         let time_ms = began.elapsed().as_secs_f64() * 1e3;
         for (&k, estimate) in members.iter().zip(&estimates) {
             iterations += estimate.iterations;
-            let status = if estimate.score.is_lost() { Status::Lost } else { Status::Tracking };
-            rows[k] = Some(row((scene.id, frame.id, starts[k].obj_id), estimate, status, time_ms));
+            let probability = tracker.probability(estimate);
+            let believed = (Status::of_probability(probability), probability);
+            rows[k] = Some(row((scene.id, frame.id, starts[k].obj_id), estimate, believed, time_ms));
         }
         bar.inc(1);
     }

@@ -19,7 +19,7 @@ use crate::dataset::{PoseSource, write_atomically};
 use crate::eval::{EvalObject, Evaluation, evaluate};
 use crate::geometry::Pose;
 use crate::simulate::{SceneKind, SequenceOptions, write_dataset};
-use crate::track::Tracker;
+use crate::track::{Tracker, calibrate};
 use crate::train::{TrainOptions, train};
 
 /// Names a folder that an earlier demo wrote and this one may replace.
@@ -132,7 +132,9 @@ fn run_direction(
     if args.method.method.wants_whole_triangles() {
         options.max_edge_px = f64::INFINITY;
     }
-    let model = train(&mesh, &training_images(&training_scene, &poses, &truth, &ids)?, &options)?;
+    let images = training_images(&training_scene, &poses, &truth, &ids)?;
+    let mut model = train(&mesh, &images, &options)?;
+    calibrate(&mut model, &images)?;
     model.save(&args.out.join(format!("scene-{trained_on}.aam6d")))?;
 
     let scene = dataset.scene(tracked)?;

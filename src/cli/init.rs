@@ -9,11 +9,11 @@ use crate::dataset::models_info::read_symmetries;
 use crate::dataset::points::read_points;
 use crate::dataset::{Dataset, FrameInfo, PoseSource};
 use crate::error::Error;
-use crate::find::{FindOptions, Finder, Priors};
+use crate::find::{FindOptions, Priors};
 use crate::geometry::few_points;
 use crate::geometry::symmetry::Symmetries;
 use crate::model::Model;
-use crate::track::Tracker;
+use crate::track::{SearchOptions, Tracker};
 
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct InitArgs {
@@ -29,6 +29,9 @@ pub(super) struct InitArgs {
     /// Search only in this box of the first image, pixels
     #[arg(long = "box", value_name = "X,Y,W,H", value_delimiter = ',', num_args = 1)]
     bounds: Option<Vec<f64>>,
+    /// Do not search the whole image for an object that was lost
+    #[arg(long)]
+    no_recover: bool,
     /// Symmetries of the object (`models_info.json`; default: that of the data set, if there is one)
     #[arg(long, value_name = "FILE")]
     models_info: Option<PathBuf>,
@@ -84,6 +87,9 @@ impl InitArgs {
         scene: u32,
         first: &FrameInfo,
     ) -> anyhow::Result<()> {
+        if !self.no_recover {
+            tracker.search_by(self.search(dataset, tracker.model())?)?;
+        }
         if let Some(path) = &self.init_points {
             let points = read_points(path)?;
             let (positions, pixels): (Vec<_>, Vec<_>) = points.iter().map(|p| (p.position, p.pixel)).unzip();
@@ -104,16 +110,18 @@ impl InitArgs {
                 tracker.start_at(pose_of(&poses, first.id, source)?);
             }
             Init::Auto => {
-                let distance = self.distance.as_ref().map(Distances::range).transpose()?;
-                let priors = Priors { image_box: self.image_box()?, ..Priors::default() };
-                let symmetries = self.symmetries(dataset, tracker.model())?;
-                let options = FindOptions { distance, symmetries, ..FindOptions::default() };
-                let finder = Finder::new(tracker.model(), &first.camera.rectified(), &options)?;
-                tracing::info!("searching with {} templates", finder.templates());
-                tracker.start_by_search(finder, priors);
+                let first = Priors { image_box: self.image_box()?, ..Priors::default() };
+                tracker.search_by(SearchOptions { first, ..self.search(dataset, tracker.model())? })?;
             }
         }
         Ok(())
+    }
+
+    fn search(&self, dataset: &Dataset, model: &Model) -> anyhow::Result<SearchOptions> {
+        let distance = self.distance.as_ref().map(Distances::range).transpose()?;
+        let symmetries = self.symmetries(dataset, model)?;
+        let find = FindOptions { distance, symmetries, ..FindOptions::default() };
+        Ok(SearchOptions { find, first: Priors::default(), recover: !self.no_recover })
     }
 
     fn image_box(&self) -> anyhow::Result<Option<[f64; 4]>> {

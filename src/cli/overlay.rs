@@ -16,7 +16,7 @@ use crate::track::Status;
 /// Straight lines are drawn in this many pieces, so that lens distortion bends them.
 const PIECES: u32 = 12;
 
-/// Draws the visible outline of the shape (green: tracked, red: lost) and its axes (x red, y green, z blue) and
+/// Draws the visible outline of the shape (green: tracked, yellow: uncertain, red: lost) and its axes (x red, y green, z blue) and
 /// writes a PNG.
 pub(super) fn write(
     path: &Path,
@@ -31,7 +31,8 @@ pub(super) fn write(
     })?;
     let colour = match status {
         Status::Tracking => Color::from_rgba8(40, 230, 80, 255),
-        Status::Lost => Color::from_rgba8(240, 50, 40, 255),
+        Status::Uncertain => Color::from_rgba8(250, 200, 40, 255),
+        Status::Lost | Status::Searching => Color::from_rgba8(240, 50, 40, 255),
     };
     let shares = visible_shares(&shape.mesh, camera, pose);
     for (face, border) in shape.faces.borders.iter().enumerate() {

@@ -111,6 +111,7 @@ pub(super) struct FrameRecord {
     scene_id: u32,
     frame: u32,
     status: Status,
+    probability: f64,
     camera_from_object: PoseRecord,
     appearance: Vec<f64>,
     /// Row-major 6x6, `x y z rotX rotY rotZ`, metres and radians, fixed axes of the camera frame.
@@ -160,6 +161,7 @@ impl FrameRecord {
             scene_id,
             frame,
             status: tracked.status,
+            probability: tracked.probability,
             camera_from_object: PoseRecord::new(&e.camera_from_object),
             appearance: e.appearance.clone(),
             // Symmetric: row-major is column-major.
@@ -176,17 +178,14 @@ impl FrameRecord {
     }
 }
 
-/// The row of an estimate: its score is the correlation, 0 where the object is lost.
+/// The row of an estimate: its score is the probability that the pose is right, 0 where there is none.
 pub(super) fn row(
     (scene_id, im_id, obj_id): (u32, u32, u32),
     estimate: &PoseEstimate,
-    status: Status,
+    (status, probability): (Status, f64),
     time_ms: f64,
 ) -> ResultRow {
-    let score = match status {
-        Status::Tracking => estimate.score.correlation,
-        Status::Lost => 0.0,
-    };
+    let score = if status.has_pose() { probability } else { 0.0 };
     ResultRow {
         scene_id,
         im_id,

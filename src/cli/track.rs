@@ -146,7 +146,8 @@ pub(super) fn track_scene(
         let Decoded { image, decode_ms } = decoded.with_context(so_far)?;
         tracker.set_camera(frame.camera)?;
         let tracked = tracker.track(&image).with_context(so_far)?;
-        let row = row((scene.id, frame.id, object), &tracked.estimate, tracked.status, tracked.time_ms);
+        let believed = (tracked.status, tracked.probability);
+        let row = row((scene.id, frame.id, object), &tracked.estimate, believed, tracked.time_ms);
         results.write(&row)?;
         if let Some(details) = &mut details {
             let place = (scene.id, frame.id);

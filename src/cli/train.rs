@@ -11,10 +11,10 @@ use super::summary::JsonArg;
 use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
 use crate::geometry::pnp::PnpSolution;
 use crate::model::Model;
-use crate::track::Status;
 use crate::track::realign::{REALIGNMENTS, train_realigned};
+use crate::track::{Status, calibrate};
 use crate::train::annotated::{self, AnnotationOptions, Refinement};
-use crate::train::{TrainOptions, extend, train};
+use crate::train::{TrainOptions, TrainingImage, extend, train};
 
 /// A model is extended from poses at least this certain: standard deviation per axis in the camera frame.
 const CERTAIN_MM: f64 = 0.5;
@@ -109,6 +109,13 @@ impl From<Refinement> for Refined {
 /// What annotated training tells beside the model.
 type Fit = (Vec<Annotated>, Option<Refined>);
 
+/// A model and what it was trained on.
+struct Trained {
+    model: Model,
+    images: Vec<TrainingImage>,
+    fit: Fit,
+}
+
 /// How well the landmarks of a frame fit.
 #[derive(Debug, Serialize)]
 struct Annotated {
@@ -151,7 +158,7 @@ impl Args {
     }
 
     /// More views for a model, from frames whose pose is certain.
-    fn extend_model(&self, dataset: &Dataset, scene: &Scene) -> anyhow::Result<Model> {
+    fn extend_model(&self, dataset: &Dataset, scene: &Scene) -> anyhow::Result<Trained> {
         let (Some(model), Some(details)) = (&self.extend, &self.details) else {
             anyhow::bail!("--extend needs --details, to tell which poses are certain");
         };
@@ -159,16 +166,12 @@ impl Args {
         let poses = dataset.poses(scene.id, model.object_id, &self.poses)?;
         let frames = certain_frames(details, scene.id, &self.chosen_frames())?;
         let images = training_images(scene, &poses, &self.poses, &frames)?;
-        Ok(extend(&model, &images, &self.options())?)
+        let model = extend(&model, &images, &self.options())?;
+        Ok(Trained { model, images, fit: Fit::default() })
     }
 
     /// Poses and mesh from the landmarks.
-    fn train_annotated(
-        &self,
-        scene: &Scene,
-        annotations: &Path,
-        shape: &Path,
-    ) -> anyhow::Result<(Model, Fit)> {
+    fn train_annotated(&self, scene: &Scene, annotations: &Path, shape: &Path) -> anyhow::Result<Trained> {
         let annotations_file = landmarks::read_annotations(annotations)?;
         let shape = annotations_file.shape(&landmarks::read_landmarks(shape)?)?;
         let mut frames = self.chosen_frames();
@@ -193,7 +196,8 @@ impl Args {
             moved_px,
         };
         let annotations = frames.iter().zip(&posed.fits).zip(&trained.moved_px).map(fit).collect();
-        Ok((trained.model, (annotations, posed.refinement.map(Refined::from))))
+        let fit = (annotations, posed.refinement.map(Refined::from));
+        Ok(Trained { model: trained.model, images: trained.images, fit })
     }
 }
 
@@ -228,18 +232,21 @@ fn is_certain(d: &Details) -> bool {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let (dataset, scene) = args.scene.open()?;
-    let (model, annotated) = match args.annotations.as_deref().zip(args.landmarks.as_deref()) {
+    let Trained { mut model, images, fit } = match args.annotations.as_deref().zip(args.landmarks.as_deref())
+    {
         Some((annotations, shape)) => args.train_annotated(&scene, annotations, shape)?,
-        None if args.extend.is_some() => (args.extend_model(&dataset, &scene)?, Fit::default()),
+        None if args.extend.is_some() => args.extend_model(&dataset, &scene)?,
         None => {
             let poses = dataset.poses(scene.id, args.object, &args.poses)?;
             let mesh = dataset.mesh(args.object)?;
             let images = training_images(&scene, &poses, &args.poses, &args.chosen_frames())?;
-            (train(&mesh, &images, &args.options())?, Fit::default())
+            let model = train(&mesh, &images, &args.options())?;
+            Trained { model, images, fit: Fit::default() }
         }
     };
+    calibrate(&mut model, &images)?;
     model.save(&args.out)?;
-    let s = Summary::new(&args.out, &model, annotated);
+    let s = Summary::new(&args.out, &model, fit);
     let mut text = format!(
         "{}: object {}, {} of {} triangles with a chart from {} reference view(s), template {:?} px, {} modes",
         s.model.display(),

@@ -140,6 +140,11 @@ impl Finder {
         self.templates.poses.len()
     }
 
+    /// Is there any template that may look like this?
+    pub fn allows(&self, priors: &Priors) -> bool {
+        !self.allowed(priors).is_empty()
+    }
+
     /// Looks for the object in the current frame of a backend. An object that is not found is no error.
     ///
     /// # Errors
@@ -217,7 +222,8 @@ impl Finder {
 }
 
 impl FindOptions {
-    fn check(&self) -> Result<()> {
+    /// Refuses values out of range.
+    pub(crate) fn check(&self) -> Result<()> {
         let refuse = |what: &str, problem: String, remedy: &str| Err(Error::invalid(what, problem, remedy));
         if let Some((near, far)) = self.distance
             && !(near > 0.0 && far >= near && far.is_finite())

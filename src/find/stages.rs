@@ -121,7 +121,7 @@ impl Finder {
     }
 
     /// The templates that the priors allow.
-    fn allowed(&self, priors: &Priors) -> Vec<u32> {
+    pub(super) fn allowed(&self, priors: &Priors) -> Vec<u32> {
         let step = self.options.distance_ratio.sqrt();
         #[expect(clippy::cast_precision_loss, reason = "a small power of two")]
         let factor = (1_u64 << self.level) as f64;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::calibration::Calibration;
 use super::chart::Chart;
 use super::shape::Shape;
 use super::template::{LevelTemplate, Model, Pixels, View};
@@ -13,7 +14,7 @@ use crate::error::{Error, Result};
 
 const MAGIC: &[u8; 8] = b"AAM6DMDL";
 /// Raised whenever the payload changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Magic, version, payload length, CRC-32.
 const HEADER_LEN: usize = 8 + 4 + 8 + 4;
 
@@ -24,6 +25,7 @@ struct Payload {
     shape: Shape,
     views: Vec<View>,
     levels: Vec<Level>,
+    calibration: Calibration,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -67,6 +69,7 @@ impl Model {
             shape: self.shape.clone(),
             views: self.views.clone(),
             levels: self.levels.iter().map(level).collect(),
+            calibration: self.calibration,
         })?;
         let mut bytes = Vec::with_capacity(HEADER_LEN + payload.len());
         bytes.extend_from_slice(MAGIC);
@@ -79,6 +82,7 @@ impl Model {
 
     fn from_stored(stored: Payload) -> Result<Self> {
         stored.shape.validate()?;
+        stored.calibration.validate()?;
         for view in &stored.views {
             view.camera.validate()?;
         }
@@ -93,7 +97,8 @@ impl Model {
             }
             levels.push(LevelTemplate::new(&stored.shape, &stored.views, k, level.pixels, level.charts)?);
         }
-        Ok(Self { object_id: stored.object_id, shape: stored.shape, views: stored.views, levels })
+        let Payload { object_id, shape, views, calibration, .. } = stored;
+        Ok(Self { object_id, shape, views, levels, calibration })
     }
 }
 

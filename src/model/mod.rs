@@ -1,5 +1,6 @@
 //! What is known about an object: its shape, and how its triangles look in their reference views.
 
+pub mod calibration;
 pub mod chart;
 pub mod file;
 pub mod groups;
@@ -8,6 +9,7 @@ pub mod shape;
 pub mod template;
 pub mod weights;
 
+pub use calibration::Calibration;
 pub use chart::{Chart, ChartGeometry};
 pub use groups::{Grouping, Groups};
 pub use moments::Moments;

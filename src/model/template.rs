@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::calibration::Calibration;
 use super::chart::{Chart, ChartGeometry};
 use super::groups::{Grouping, Groups};
 use super::moments::Moments;
@@ -139,6 +140,8 @@ pub struct Model {
     pub views: Vec<View>,
     /// Template per pyramid level, level 0 first.
     pub levels: Vec<LevelTemplate>,
+    /// What the score of a pose is worth; not calibrated unless [`crate::track::calibrate`] has done it.
+    pub calibration: Calibration,
 }
 
 impl Model {

@@ -4,6 +4,7 @@
 use image::GrayImage;
 use rayon::prelude::*;
 
+use super::search::Search;
 use super::{FrameTimes, Tracked, Tracker};
 use crate::error::{Error, Result};
 
@@ -22,11 +23,12 @@ impl Tracker {
             camera: self.camera,
             rectifier: self.rectifier.clone(),
             rectified: GrayImage::default(),
+            is_rectified: false,
             times: FrameTimes::default(),
             motion: None,
-            finder: None,
+            search: self.search.as_ref().map(Search::another),
             appearance: vec![0.0; self.appearance.len()],
-            lost: false,
+            lost_frames: 0,
             correlation: 1.0,
             starts: Vec::new(),
             estimates: Vec::new(),

@@ -1,80 +1,30 @@
 //! A sequence of frames: prediction, alignment, loss.
 
 mod batch;
-mod first_pose;
+mod calibrate;
+mod locate;
 mod prediction;
 pub mod realign;
+mod result;
+mod search;
 
 use std::sync::Arc;
 use std::time::Instant;
 
 use image::GrayImage;
 
-use crate::align::{AlignTimes, Aligner, PoseEstimate, Start, Target};
+use crate::align::{Aligner, PoseEstimate, Start};
 use crate::backend::{Backend, ModelId};
-use crate::error::{Error, Result};
-use crate::find::{Finder, Priors};
+use crate::error::Result;
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
 use crate::model::Model;
 use prediction::Motion;
+use search::Search;
 
-/// After a lost frame a pose is believed from this median correlation on: wrong poses that a search ended in reached
-/// 0.76 where right ones have more than 0.9.
-const RECOVERED_CORRELATION: f64 = 0.8;
-
-/// A pose below [`RECOVERED_CORRELATION`] is checked by a search if the correlation fell by this since the last frame:
-/// it may be a local minimum.
-const FALLEN_CORRELATION: f64 = 0.1;
-
-/// What is known about the object in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Status {
-    /// The pose is believed.
-    Tracking,
-    /// The object is not where the pose says.
-    Lost,
-}
-
-/// Result of one frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Tracked {
-    /// Is the pose to be believed?
-    pub status: Status,
-    /// The pose and all that is known about it.
-    pub estimate: PoseEstimate,
-    /// Wall time of this frame, milliseconds.
-    pub time_ms: f64,
-    /// Where it went.
-    pub times: FrameTimes,
-}
-
-/// Where the time of a frame went: wall time, milliseconds. What is left of the whole is prediction and bookkeeping.
-#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
-pub struct FrameTimes {
-    /// Removing lens distortion, on the host.
-    pub rectify_ms: f64,
-    /// Handing the frame to the backend, pyramid included.
-    pub set_frame_ms: f64,
-    /// The alignment of the predicted pose; zero but for the default method.
-    #[serde(flatten)]
-    pub align: AlignTimes,
-    /// Searching for what was not found there.
-    pub search_ms: f64,
-}
-
-impl Default for Tracked {
-    /// Nothing is known yet: memory for [`Tracker::track_into`].
-    fn default() -> Self {
-        Self {
-            status: Status::Lost,
-            estimate: PoseEstimate::default(),
-            time_ms: 0.0,
-            times: FrameTimes::default(),
-        }
-    }
-}
+pub use calibrate::calibrate;
+pub use result::{FrameTimes, Status, Tracked};
+pub use search::SearchOptions;
 
 /// Tracks one object through the frames of one camera.
 pub struct Tracker {
@@ -87,14 +37,16 @@ pub struct Tracker {
     rectifier: Rectifier,
     /// The current frame without lens distortion.
     rectified: GrayImage,
+    /// Is that the frame, or was there no distortion to remove?
+    is_rectified: bool,
     /// Where the time of the current frame went.
     times: FrameTimes,
     motion: Option<Motion>,
-    /// Finds the object while there is no pose to start from.
-    finder: Option<(Finder, Priors)>,
+    /// Looks for the object in the whole image, while there is no pose to start from and after a loss.
+    search: Option<Search>,
     appearance: Vec<f64>,
-    /// True after a frame that was lost: coming back needs more evidence than going on.
-    lost: bool,
+    /// Frames since the last one with a pose: coming back needs more evidence than going on.
+    lost_frames: usize,
     /// Median correlation in the last believed frame.
     correlation: f64,
     /// Memory of the start and the estimate of a frame.
@@ -113,10 +65,10 @@ impl std::fmt::Debug for Tracker {
 
 impl Tracker {
     /// A tracker for `model` in frames of `camera` (with its lens distortion). Call [`Self::start_at`] or
-    /// [`Self::start_by_search`] before the first frame.
+    /// [`Self::search_by`] before the first frame.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
+    /// [`crate::Error::Invalid`] for a camera that is none, and what [`Backend::load`] and [`Aligner::prepare`] report.
     pub fn new(
         model: Model,
         camera: Camera,
@@ -136,11 +88,12 @@ impl Tracker {
             camera,
             rectifier,
             rectified: GrayImage::default(),
+            is_rectified: false,
             times: FrameTimes::default(),
             motion: None,
-            finder: None,
+            search: None,
             appearance,
-            lost: false,
+            lost_frames: 0,
             correlation: 1.0,
             starts: Vec::new(),
             estimates: Vec::new(),
@@ -151,18 +104,21 @@ impl Tracker {
     pub fn start_at(&mut self, camera_from_object: Pose) {
         self.motion = Some(Motion::at_rest(camera_from_object));
         self.appearance.fill(0.0);
-        (self.lost, self.correlation) = (false, 1.0);
+        (self.lost_frames, self.correlation) = (0, 1.0);
     }
 
     /// Changes the camera of the following frames (zoom, another calibration per frame).
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a camera that is none.
+    /// [`crate::Error::Invalid`] for a camera that is none.
     pub fn set_camera(&mut self, camera: Camera) -> Result<()> {
         if camera != self.camera {
             camera.validate()?;
             self.rectifier = Rectifier::new(&camera);
             self.camera = camera;
+            if let Some(search) = &mut self.search {
+                search.forget_camera();
+            }
         }
         Ok(())
     }
@@ -177,10 +133,16 @@ impl Tracker {
         self.backend.name()
     }
 
-    /// Tracks the object into the next frame. After a lost frame the search goes on from the last believed pose.
+    /// Probability that the pose of an estimate is right, as the model was calibrated.
+    pub fn probability(&self, estimate: &PoseEstimate) -> f64 {
+        self.model.calibration.probability(estimate.score.margin())
+    }
+
+    /// Tracks the object into the next frame. After a lost frame it is looked for where it was seen last, and, with
+    /// [`Self::search_by`], in the whole image.
     ///
     /// # Errors
-    /// [`Error::Invalid`] before [`Self::start_at`] or [`Self::start_by_search`], or for an image of another size than
+    /// [`crate::Error::Invalid`] before [`Self::start_at`] or [`Self::search_by`], or for an image of another size than
     /// the camera's; errors of the backend. The tracker stays usable after an error.
     pub fn track(&mut self, image: &GrayImage) -> Result<Tracked> {
         let mut tracked = Tracked::default();
@@ -196,7 +158,16 @@ impl Tracker {
     /// As [`Self::track`]; what is in `tracked` then means nothing.
     pub fn track_into(&mut self, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
         let began = Instant::now();
-        let Some(motion) = self.motion else { return self.find_first(image, began, tracked) };
+        match self.motion {
+            Some(motion) => self.track_from(motion, image, tracked)?,
+            None => self.find_first(image, tracked)?,
+        }
+        self.follow(tracked);
+        (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
+        Ok(())
+    }
+
+    fn track_from(&mut self, motion: Motion, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
         let (mut starts, mut estimates) =
             (std::mem::take(&mut self.starts), std::mem::take(&mut self.estimates));
         starts.resize_with(1, Start::default);
@@ -209,27 +180,25 @@ impl Tracker {
         }
         (self.starts, self.estimates) = (starts, estimates);
         aligned?;
-        tracked.status = self.follow(motion, &tracked.estimate);
-        (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
-        Ok(())
+        tracked.status = self.status(&tracked.estimate);
+        if tracked.status == Status::Lost { self.recover(image, &motion, tracked) } else { Ok(()) }
     }
 
-    /// Goes on from an estimate, if it is to be believed.
-    fn follow(&mut self, motion: Motion, estimate: &PoseEstimate) -> Status {
-        let status = if believed(estimate, self.lost) { Status::Tracking } else { Status::Lost };
-        self.lost = status == Status::Lost;
-        match status {
-            Status::Tracking => {
-                self.motion = Some(motion.advance(estimate.camera_from_object));
-                self.appearance.clone_from(&estimate.appearance);
-                self.correlation = estimate.score.correlation;
-            }
-            Status::Lost => {
-                self.motion = Some(motion.stop());
-                self.appearance.fill(0.0);
-            }
+    /// Goes on from an estimate, if there is one.
+    fn follow(&mut self, tracked: &mut Tracked) {
+        let estimate = &tracked.estimate;
+        tracked.probability = self.probability(estimate);
+        if tracked.status.has_pose() {
+            let pose = estimate.camera_from_object;
+            self.motion = Some(self.motion.map_or(Motion::found(pose), |motion| motion.advance(pose)));
+            self.appearance.clone_from(&estimate.appearance);
+            self.correlation = estimate.score.correlation;
+            self.lost_frames = 0;
+        } else {
+            self.motion = self.motion.map(Motion::stop);
+            self.appearance.fill(0.0);
+            self.lost_frames += 1;
         }
-        status
     }
 
     /// Aligns every start with one frame, each on its own, and leaves the track as it is. Around starts from which
@@ -242,58 +211,8 @@ impl Tracker {
         self.align_into(image, starts, &mut estimates)?;
         Ok(estimates)
     }
-
-    fn align_into(
-        &mut self,
-        image: &GrayImage,
-        starts: &[Start],
-        estimates: &mut Vec<PoseEstimate>,
-    ) -> Result<()> {
-        self.check_size(image)?;
-        let began = Instant::now();
-        let is_rectified = self.rectifier.rectify_into(image, &mut self.rectified);
-        let image = if is_rectified { &self.rectified } else { image };
-        let rectify_ms = ms_since(began);
-        self.backend.set_frame(image, self.aligner.levels(&self.model))?;
-        let set_frame_ms = ms_since(began) - rectify_ms;
-        let target = Target { model: &self.model, id: self.id, camera: self.camera.rectified(), image };
-        self.aligner.align(self.backend.as_mut(), &target, starts, estimates)?;
-        let align = self.aligner.times();
-        let began = Instant::now();
-        for (estimate, start) in estimates.iter_mut().zip(starts) {
-            let fell =
-                estimate.score.correlation < RECOVERED_CORRELATION.min(self.correlation - FALLEN_CORRELATION);
-            if believed(estimate, self.lost) && !fell {
-                continue;
-            }
-            if let Some(found) = self.aligner.search(self.backend.as_mut(), &target, start)? {
-                let iterations = estimate.iterations + found.iterations;
-                if believed(&found, true) && found.score.correlation > estimate.score.correlation {
-                    *estimate = found;
-                }
-                estimate.iterations = iterations;
-            }
-        }
-        self.times = FrameTimes { rectify_ms, set_frame_ms, align, search_ms: ms_since(began) };
-        Ok(())
-    }
-
-    fn check_size(&self, image: &GrayImage) -> Result<()> {
-        let expected = (self.camera.width, self.camera.height);
-        if image.dimensions() != expected {
-            let (w, h) = image.dimensions();
-            let problem = format!("{w}x{h}, but the camera has {}x{}", expected.0, expected.1);
-            return Err(Error::invalid("frame", problem, "give frames and calibration of the same camera"));
-        }
-        Ok(())
-    }
 }
 
 fn ms_since(began: Instant) -> f64 {
     began.elapsed().as_secs_f64() * 1e3
-}
-
-/// Is the object where the estimate says? Coming back after a loss or by a search needs more evidence than going on.
-fn believed(estimate: &PoseEstimate, recovering: bool) -> bool {
-    !estimate.score.is_lost() && (!recovering || estimate.score.correlation >= RECOVERED_CORRELATION)
 }

@@ -16,6 +16,16 @@ impl Motion {
         Self { last: pose, before: None }
     }
 
+    /// A pose that was looked for: none before it is known, and the next one will be motion.
+    pub(super) fn found(pose: Pose) -> Self {
+        Self { last: pose, before: Some(pose) }
+    }
+
+    /// Last believed pose.
+    pub(super) fn last(&self) -> Pose {
+        self.last
+    }
+
     /// After a frame that was believed. The first frame corrects the start pose, which is no motion.
     pub(super) fn advance(self, pose: Pose) -> Self {
         Self { last: pose, before: Some(self.before.map_or(pose, |_| self.last)) }

@@ -40,7 +40,8 @@ pub fn extend(model: &Model, images: &[TrainingImage], options: &TrainOptions) -
         let (pixels, charts) = join(old, &pixels, &charts, first_new, options.edge_weights);
         levels.push(LevelTemplate::new(shape, &views, level, pixels, charts)?);
     }
-    Ok(Model { object_id: model.object_id, shape: shape.clone(), views, levels })
+    let (object_id, calibration) = (model.object_id, model.calibration);
+    Ok(Model { object_id, shape: shape.clone(), views, levels, calibration })
 }
 
 /// How well the model's own reference views see their triangles; 0 without a chart.

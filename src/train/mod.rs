@@ -13,7 +13,7 @@ use image::GrayImage;
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose, TriangleMesh};
 use crate::imaging::Pyramid;
-use crate::model::{Chart, LevelTemplate, Model, Pixels, Shape, View};
+use crate::model::{Calibration, Chart, LevelTemplate, Model, Pixels, Shape, View};
 use canvas::LevelCharts;
 use samples::LevelSamples;
 
@@ -114,7 +114,8 @@ pub fn train(mesh: &TriangleMesh, images: &[TrainingImage], options: &TrainOptio
         let remedy = "use frames in which the object is larger or better lit";
         return Err(Error::invalid("training", "no usable template pixel", remedy));
     }
-    Ok(Model { object_id: options.object_id, shape, views, levels })
+    let calibration = Calibration::default();
+    Ok(Model { object_id: options.object_id, shape, views, levels, calibration })
 }
 
 /// Pixels and charts of every level for the triangles that have a view; views and images correspond.

@@ -4,7 +4,7 @@ use aam6d::backend::{ModelId, Request, TriangleWarp};
 use aam6d::geometry::mesh::{Faces, TriangleMesh};
 use aam6d::imaging::GrayImage;
 use aam6d::imaging::sample::bilinear;
-use aam6d::model::{Chart, Grouping, Groups, LevelTemplate, Model, Moments, Pixels, Shape};
+use aam6d::model::{Calibration, Chart, Grouping, Groups, LevelTemplate, Model, Moments, Pixels, Shape};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -167,7 +167,8 @@ fn model(pixels: Pixels, charts: Vec<Chart>) -> Model {
     let groups = Groups::new(Grouping::Triangle, &shape, &charts, &moments);
     let level =
         LevelTemplate { pixels, charts, geometry, moments, by_face: groups.clone(), by_triangle: groups };
-    Model { object_id: 1, shape, views: Vec::new(), levels: vec![level] }
+    let calibration = Calibration::default();
+    Model { object_id: 1, shape, views: Vec::new(), levels: vec![level], calibration }
 }
 
 fn index(n: usize) -> u32 {

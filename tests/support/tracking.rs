@@ -141,7 +141,7 @@ pub(crate) fn judge(sequence: &Sequence, tracked: &[Tracked], truth: &[Pose]) ->
 pub(crate) fn estimate(frame: u32, status: Status, estimate: &PoseEstimate) -> Estimate {
     #[expect(clippy::cast_precision_loss, reason = "iteration counts are small")]
     let iterations = Some(estimate.iterations as f64);
-    let score = if status == Status::Tracking { estimate.score.correlation } else { 0.0 };
+    let score = if status.has_pose() { estimate.score.correlation } else { 0.0 };
     Estimate { frame, pose: estimate.camera_from_object, score, time_s: None, iterations }
 }
 

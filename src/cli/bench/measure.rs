@@ -212,7 +212,7 @@ pub(super) fn frames(
         cpu.push(times.cpu_ms);
         wall.push(times.wall_ms);
         iterations += tracked.estimate.iterations;
-        lost += usize::from(tracked.status == crate::track::Status::Lost);
+        lost += usize::from(!tracked.status.has_pose());
     }
     let [cpu_ms, wall_ms] = [&cpu, &wall].map(|times| median(times).unwrap_or(f64::NAN));
     let backend = tracker.backend_name();
