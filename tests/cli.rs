@@ -153,6 +153,7 @@ fn check_details(path: &Path) {
             "scene_id",
             "frame",
             "status",
+            "probability",
             "camera_from_object",
             "appearance",
             "covariance_ros",
