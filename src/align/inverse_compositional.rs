@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::evaluator::{Evaluator, check, look_at, ms_since, tracked_levels};
-use super::levenberg_marquardt::{Descent, Settings};
+use super::levenberg_marquardt::Settings;
 use super::normal_equations::LevelProblem;
 use super::robust::Redescent;
 use super::workspace::Workspace;
@@ -14,7 +14,7 @@ use crate::model::{Grouping, Model};
 
 /// Triangle weights act from this level down: on coarser ones they cost reach. Only where the object is not found
 /// without them they act on all levels.
-const COARSEST_ROBUST: usize = 1;
+pub(super) const COARSEST_ROBUST: usize = 1;
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,7 +49,7 @@ impl Default for Options {
 pub struct InverseCompositional {
     /// Choices.
     pub options: Options,
-    work: Workspace,
+    pub(super) work: Workspace,
 }
 
 impl InverseCompositional {
@@ -58,7 +58,7 @@ impl InverseCompositional {
         Self { options, work: Workspace::default() }
     }
 
-    fn settings(&self, level: usize, robust: Option<usize>) -> Settings {
+    pub(super) fn settings(&self, level: usize, robust: Option<usize>) -> Settings {
         let stop_px =
             self.options.stop_px.get(level).or(self.options.stop_px.last()).copied().unwrap_or(0.01);
         Settings {
@@ -133,7 +133,7 @@ impl InverseCompositional {
     ) -> Result<()> {
         for level in levels {
             self.level(backend, target, level, robust, work)?;
-            work.descents.iter_mut().for_each(Descent::end);
+            work.descents.iter_mut().for_each(|d| d.steps.end());
         }
         Ok(())
     }
@@ -151,11 +151,11 @@ impl InverseCompositional {
         let Workspace { descents, evaluation, zbuffer, scratch, times } = work;
         let began = Instant::now();
         for descent in descents.iter_mut() {
-            look_at(target, &descent.state.pose, zbuffer, &mut descent.visibility);
+            look_at(target, &descent.steps.state.pose, zbuffer, &mut descent.look.visibility);
         }
         times.visibility_ms += ms_since(began);
         let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
-        evaluator.evaluate(descents.iter().map(|d| (&d.state, &*d.visibility)))?;
+        evaluator.evaluate(descents.iter().map(|d| (&d.steps.state, &*d.look.visibility)))?;
         for (i, descent) in descents.iter_mut().enumerate() {
             descent.begin(&problem, &settings, evaluator.rows(i), scratch);
         }
@@ -163,13 +163,14 @@ impl InverseCompositional {
             for descent in descents.iter_mut() {
                 descent.propose(&problem, &settings, &mut scratch.solver);
             }
-            let proposed = || descents.iter().filter_map(|d| d.proposed().map(|s| (s, &*d.visibility)));
+            let proposed =
+                || descents.iter().filter_map(|d| d.steps.proposed().map(|s| (s, &*d.look.visibility)));
             if proposed().next().is_none() {
                 return Ok(());
             }
             // What has stopped is no longer part of the call.
             evaluator.evaluate(proposed())?;
-            let judged = descents.iter_mut().filter(|d| d.proposed().is_some());
+            let judged = descents.iter_mut().filter(|d| d.steps.proposed().is_some());
             for (k, descent) in judged.enumerate() {
                 descent.judge(&problem, &settings, evaluator.rows(k), scratch);
             }

@@ -1,6 +1,6 @@
 //! One Levenberg-Marquardt descent as a state machine, so that many run in step with one backend call each.
 
-use nalgebra::{DVector, Vector6};
+use nalgebra::{DVector, Point3, Vector6};
 
 use super::derivative::Derivative;
 use super::evaluator::End;
@@ -40,29 +40,23 @@ pub(super) enum Stop {
     Singular,
 }
 
-/// A descent from level to level.
+/// The steps of a descent: where it is, where it may go next, and how careful it is.
 #[derive(Debug, Default)]
-pub(super) struct Descent {
+pub(super) struct Steps {
     pub(super) state: State,
-    /// Sums at the state.
-    pub(super) rows: Vec<f64>,
-    /// Share of each triangle that nothing hides, at the start of the level.
-    pub(super) visibility: Vec<f64>,
-    pub(super) equations: NormalEquations,
     /// Steps on this level.
     pub(super) iterations: usize,
     pub(super) stop: Option<Stop>,
-    pub(super) weights: Vec<f64>,
     /// Steps on all levels so far.
-    total: usize,
+    pub(super) total: usize,
     /// True if all levels so far converged.
-    converged: bool,
+    pub(super) converged: bool,
     damping: f64,
     candidate: State,
     is_proposed: bool,
 }
 
-impl Descent {
+impl Steps {
     /// Goes to where a descent starts.
     pub(super) fn start_at(&mut self, pose: Pose, appearance: &[f64]) {
         self.state.pose = pose;
@@ -71,49 +65,27 @@ impl Descent {
         (self.total, self.converged) = (0, true);
     }
 
+    /// Enters a level.
+    pub(super) fn begin(&mut self, settings: &Settings) {
+        (self.iterations, self.stop, self.is_proposed) = (0, None, false);
+        self.damping = settings.damping;
+    }
+
     /// Leaves a level.
     pub(super) fn end(&mut self) {
         self.total += self.iterations;
         self.converged &= self.stop == Some(Stop::Converged);
     }
 
-    /// Where the last level ended.
-    pub(super) fn ended(&self) -> End<'_> {
-        let Self { state, visibility, equations, total, converged, .. } = self;
-        End { state, visibility, equations, iterations: *total, converged: *converged }
-    }
-
-    /// Starts a level at the state, whose sums and visibility are known.
-    pub(super) fn begin(
-        &mut self,
-        problem: &LevelProblem<'_>,
-        settings: &Settings,
-        rows: Rows<'_>,
-        scratch: &mut Scratch,
-    ) {
-        (self.iterations, self.stop, self.is_proposed) = (0, None, false);
-        self.damping = settings.damping;
-        self.look(problem, settings, rows, scratch);
-    }
-
-    /// Weights and equations at the state.
-    fn look(
-        &mut self,
-        problem: &LevelProblem<'_>,
-        settings: &Settings,
-        rows: Rows<'_>,
-        scratch: &mut Scratch,
-    ) {
-        self.rows.clear();
-        self.rows.extend(rows.data);
-        let Self { state, visibility, weights, equations, .. } = self;
-        triangle_weights(problem, &rows, visibility, settings.redescent, scratch, weights);
-        equations.assemble(problem, state, &rows, weights, Derivative::Template, scratch);
-    }
-
     /// Solves for the next step, eq. (18) with diag(JtQJ), unless the descent has stopped. A step below the threshold
     /// is taken without another look.
-    pub(super) fn propose(&mut self, problem: &LevelProblem<'_>, settings: &Settings, solver: &mut Solver) {
+    pub(super) fn propose(
+        &mut self,
+        equations: &NormalEquations,
+        centre: &Point3<f64>,
+        settings: &Settings,
+        solver: &mut Solver,
+    ) {
         if self.stop.is_some() {
             return;
         }
@@ -121,14 +93,14 @@ impl Descent {
             self.stop = Some(Stop::Exhausted);
             return;
         }
-        let Some(step) = solve(&self.equations, self.damping, solver) else {
+        let Some(step) = solve(equations, self.damping, solver) else {
             self.stop = Some(Stop::Singular);
             return;
         };
         self.iterations += 1;
         let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
-        let moved = motion.dot(&(self.equations.displacement * motion)).max(0.0).sqrt();
-        self.candidate.pose = self.state.pose.compose(&Pose::increment(&motion, &problem.centre).inverse());
+        let moved = motion.dot(&(equations.displacement * motion)).max(0.0).sqrt();
+        self.candidate.pose = self.state.pose.compose(&Pose::increment(&motion, centre).inverse());
         self.candidate.appearance.clear();
         let appearance = self.state.appearance.iter().zip(step.iter().skip(6));
         self.candidate.appearance.extend(appearance.map(|(a, d)| a + d));
@@ -145,7 +117,82 @@ impl Descent {
         self.is_proposed.then_some(&self.candidate)
     }
 
-    /// Accepts the proposed state if it lowers the cost with the same triangle weights, else damps more.
+    /// Goes to the proposed state if it lowers the cost, else damps more.
+    pub(super) fn judge(&mut self, is_lower: bool) {
+        self.is_proposed = false;
+        if is_lower {
+            std::mem::swap(&mut self.state, &mut self.candidate);
+            self.damping /= 10.0;
+        } else {
+            self.damping *= 10.0;
+            if self.damping > MAX_DAMPING {
+                self.stop = Some(Stop::Exhausted);
+            }
+        }
+    }
+}
+
+/// What one camera says about a state.
+#[derive(Debug, Default)]
+pub(super) struct Look {
+    /// Sums at the state.
+    pub(super) rows: Vec<f64>,
+    /// Share of each triangle that nothing hides, at the start of the level.
+    pub(super) visibility: Vec<f64>,
+    pub(super) weights: Vec<f64>,
+    pub(super) equations: NormalEquations,
+}
+
+impl Look {
+    /// Weights and equations at a state, whose sums and visibility are known.
+    pub(super) fn take(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        settings: &Settings,
+        state: &State,
+        rows: Rows<'_>,
+        scratch: &mut Scratch,
+    ) {
+        self.rows.clear();
+        self.rows.extend(rows.data);
+        let Self { visibility, weights, equations, .. } = self;
+        triangle_weights(problem, &rows, visibility, settings.redescent, scratch, weights);
+        equations.assemble(problem, state, &rows, weights, Derivative::Template, scratch);
+    }
+}
+
+/// A descent from level to level with one camera.
+#[derive(Debug, Default)]
+pub(super) struct Descent {
+    pub(super) steps: Steps,
+    pub(super) look: Look,
+}
+
+impl Descent {
+    /// Where the last level ended.
+    pub(super) fn ended(&self) -> End<'_> {
+        let Steps { state, total, converged, .. } = &self.steps;
+        let Look { visibility, equations, .. } = &self.look;
+        End { state, visibility, equations, iterations: *total, converged: *converged }
+    }
+
+    /// Starts a level at the state, whose sums and visibility are known.
+    pub(super) fn begin(
+        &mut self,
+        problem: &LevelProblem<'_>,
+        settings: &Settings,
+        rows: Rows<'_>,
+        scratch: &mut Scratch,
+    ) {
+        self.steps.begin(settings);
+        self.look.take(problem, settings, &self.steps.state, rows, scratch);
+    }
+
+    pub(super) fn propose(&mut self, problem: &LevelProblem<'_>, settings: &Settings, solver: &mut Solver) {
+        self.steps.propose(&self.look.equations, &problem.centre, settings, solver);
+    }
+
+    /// Accepts the proposed state if it lowers the cost with the same triangle weights.
     pub(super) fn judge(
         &mut self,
         problem: &LevelProblem<'_>,
@@ -153,18 +200,12 @@ impl Descent {
         rows: Rows<'_>,
         scratch: &mut Scratch,
     ) {
-        self.is_proposed = false;
-        let appearance = &self.candidate.appearance;
-        let cost = cost(problem, appearance, &rows, &self.weights, &mut scratch.solutions);
-        if cost < self.equations.cost {
-            std::mem::swap(&mut self.state, &mut self.candidate);
-            self.damping /= 10.0;
-            self.look(problem, settings, rows, scratch);
-        } else {
-            self.damping *= 10.0;
-            if self.damping > MAX_DAMPING {
-                self.stop = Some(Stop::Exhausted);
-            }
+        let Some(state) = self.steps.proposed() else { return };
+        let (cost, _) = cost(problem, &state.appearance, &rows, &self.look.weights, &mut scratch.solutions);
+        let is_lower = cost < self.look.equations.cost;
+        self.steps.judge(is_lower);
+        if is_lower {
+            self.look.take(problem, settings, &self.steps.state, rows, scratch);
         }
     }
 }

@@ -44,12 +44,12 @@ impl InverseCompositional {
         let row_len = Sums::row_len(target.model.modes());
         let Workspace { descents, scratch, .. } = work;
         let mut misfit = |d: &Descent| {
-            let rows = Rows { data: &d.rows, row_len };
-            misfit(&problem, &d.state.appearance, &rows, &d.visibility, &mut scratch.solutions)
+            let rows = Rows { data: &d.look.rows, row_len };
+            misfit(&problem, &d.steps.state.appearance, &rows, &d.look.visibility, &mut scratch.solutions)
         };
         let misfits: Vec<f64> = descents.iter().map(&mut misfit).collect();
         let best = descents.iter().zip(misfits).min_by(|(_, a), (_, b)| a.total_cmp(b));
-        let start = best.map_or_else(|| around.clone(), |(d, _)| start_of(&d.state));
+        let start = best.map_or_else(|| around.clone(), |(d, _)| start_of(&d.steps.state));
         work.begin(&[start]);
         self.coarse_to_fine(backend, target, (0..=finest).rev(), Some(finest), work)?;
         let mut estimates = Vec::new();
@@ -138,7 +138,7 @@ fn misfit(
     if inside < 0.5 * all || variance <= 0.0 {
         return f64::INFINITY;
     }
-    cost(problem, appearance, rows, visibility, solutions) * inside / variance
+    cost(problem, appearance, rows, visibility, solutions).0 * inside / variance
 }
 
 #[cfg(test)]

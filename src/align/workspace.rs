@@ -29,7 +29,7 @@ impl Workspace {
         (self.times, self.evaluation.spent_ms) = (AlignTimes::default(), 0.0);
         self.descents.resize_with(starts.len(), Descent::default);
         for (descent, start) in self.descents.iter_mut().zip(starts) {
-            descent.start_at(start.camera_from_object.renormalised(), &start.appearance);
+            descent.steps.start_at(start.camera_from_object.renormalised(), &start.appearance);
         }
     }
 

@@ -66,9 +66,14 @@ impl Tracker {
         Ok(())
     }
 
-    /// Is the object where the estimate says? Coming back after a loss needs more evidence than going on.
+    /// Is the object where the estimate says?
     pub(super) fn status(&self, estimate: &PoseEstimate) -> Status {
-        let back = self.lost_frames == 0 || estimate.score.correlation >= RECOVERED_CORRELATION;
+        self.status_after(estimate, self.lost_frames)
+    }
+
+    /// Is the object where the estimate says? Coming back after a loss needs more evidence than going on.
+    pub(super) fn status_after(&self, estimate: &PoseEstimate, lost_frames: usize) -> Status {
+        let back = lost_frames == 0 || estimate.score.correlation >= RECOVERED_CORRELATION;
         if back { Status::of_probability(self.probability(estimate)) } else { Status::Lost }
     }
 }

@@ -6,6 +6,7 @@ mod locate;
 mod prediction;
 pub mod realign;
 mod result;
+mod rig;
 mod search;
 
 use std::sync::Arc;
@@ -24,6 +25,7 @@ use search::Search;
 
 pub use calibrate::calibrate;
 pub use result::{FrameTimes, Status, Tracked};
+pub use rig::{RigCamera, RigTracker};
 pub use search::SearchOptions;
 
 /// Tracks one object through the frames of one camera.
@@ -117,8 +119,20 @@ impl Tracker {
             self.rectifier = Rectifier::new(&camera);
             self.camera = camera;
             if let Some(search) = &mut self.search {
-                search.forget_camera();
+                search.forget_templates();
             }
+        }
+        Ok(())
+    }
+
+    /// Another model for the following frames.
+    fn set_model(&mut self, model: Model) -> Result<()> {
+        self.id = self.backend.load(&model)?;
+        self.aligner.prepare(self.backend.as_mut(), &model, self.id)?;
+        self.appearance = vec![0.0; model.modes()];
+        self.model = Arc::new(model);
+        if let Some(search) = &mut self.search {
+            search.forget_templates();
         }
         Ok(())
     }

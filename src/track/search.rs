@@ -7,7 +7,7 @@ use image::GrayImage;
 
 use super::prediction::Motion;
 use super::{Status, Tracked, Tracker, ms_since};
-use crate::align::{PoseEstimate, Target};
+use crate::align::{PoseEstimate, Start, Target};
 use crate::error::{Error, Result};
 use crate::find::{FindOptions, Finder, Found, Priors};
 use crate::geometry::Camera;
@@ -43,8 +43,8 @@ impl Search {
         Self { options: self.options.clone(), finder: self.finder.clone() }
     }
 
-    /// Templates are rendered for one camera.
-    pub(super) fn forget_camera(&mut self) {
+    /// Templates are of one model and for one camera.
+    pub(super) fn forget_templates(&mut self) {
         self.finder = None;
     }
 
@@ -94,7 +94,7 @@ impl Tracker {
         motion: &Motion,
         tracked: &mut Tracked,
     ) -> Result<()> {
-        if !self.search.as_ref().is_some_and(|s| s.options.recover) {
+        if !self.searches() {
             return Ok(());
         }
         let near = self.lost_frames.is_multiple_of(2);
@@ -107,6 +107,38 @@ impl Tracker {
             tracked.status = Status::Searching;
         }
         Ok(())
+    }
+
+    /// For a rig: looks around a pose from which nothing was found after so many lost frames, then, where that is wished,
+    /// in the whole frame.
+    pub(super) fn look_for(
+        &mut self,
+        image: &GrayImage,
+        around: &Start,
+        lost_frames: usize,
+    ) -> Result<Option<PoseEstimate>> {
+        self.lost_frames = lost_frames;
+        let mut tracked = Tracked::default();
+        let motion = Motion::at_rest(around.camera_from_object);
+        let mut estimates = self.align(image, std::slice::from_ref(around))?;
+        tracked.estimate = estimates.remove(0);
+        tracked.status = self.status_after(&tracked.estimate, lost_frames.max(1));
+        if tracked.status == Status::Lost {
+            self.recover(image, &motion, &mut tracked)?;
+        }
+        Ok(tracked.status.has_pose().then_some(tracked.estimate))
+    }
+
+    /// Is the whole image searched after a loss?
+    pub(super) fn searches(&self) -> bool {
+        self.search.as_ref().is_some_and(|s| s.options.recover)
+    }
+
+    /// What is known of the first pose holds for one camera.
+    pub(super) fn forget_priors(&mut self) {
+        if let Some(search) = &mut self.search {
+            search.options.first = Priors::default();
+        }
     }
 
     fn search_frame(&mut self, image: &GrayImage, priors: &Priors) -> Result<Found> {

@@ -182,7 +182,7 @@ impl Edge {
         evaluator.evaluate(std::iter::once((&state, &*visibility)))?;
         let rows: Rows<'_> = evaluator.rows(0);
         triangle_weights(&problem, &rows, &visibility, None, &mut scratch, &mut weights);
-        let mean = cost(&problem, &state.appearance, &rows, &weights, &mut scratch.solutions);
+        let (mean, _) = cost(&problem, &state.appearance, &rows, &weights, &mut scratch.solutions);
         Ok(PoseEstimate {
             score: score(backend, target, &state, &visibility)?,
             hessian: end.hessian,
