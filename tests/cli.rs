@@ -8,6 +8,8 @@ mod bad_output;
 mod first_pose;
 #[path = "cli/program.rs"]
 mod program;
+#[path = "cli/stereo.rs"]
+mod stereo;
 
 use std::fs;
 use std::path::Path;

@@ -8,6 +8,7 @@ mod demo;
 mod details;
 mod eval;
 mod experiment;
+mod follow;
 mod frames;
 mod hand_eye;
 mod info;

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::backend::BackendArgs;
 use super::decode::{Decoded, Latency, each_frame};
+use super::follow::{Follow, StereoArgs};
 use super::frames::SceneArgs;
 use super::init::InitArgs;
 use super::method::MethodArgs;
@@ -26,6 +27,8 @@ pub(super) struct Args {
     model: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
+    #[command(flatten)]
+    stereo: StereoArgs,
     #[command(flatten)]
     init: InitArgs,
     /// Results file to write (BOP CSV; score 0 means lost)
@@ -104,7 +107,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         latency: args.latency,
         what: "tracking",
     };
-    let estimates = track_scene(&mut tracker, &scene, &outputs)?;
+    let mut tracker = args.stereo.follow(tracker, &dataset, &scene, args.method.method)?;
+    let estimates = track_scene(tracker.as_mut(), &scene, &outputs)?;
     if let Some(path) = &args.tum {
         write_trajectory(path, &estimates)?;
     }
@@ -132,7 +136,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Tracks all frames of a scene and writes the results as they come.
 pub(super) fn track_scene(
-    tracker: &mut Tracker,
+    tracker: &mut dyn Follow,
     scene: &Scene,
     outputs: &Outputs<'_>,
 ) -> anyhow::Result<Vec<Estimate>> {
@@ -144,8 +148,7 @@ pub(super) fn track_scene(
     each_frame(scene, outputs.latency, |k, frame, decoded| {
         let so_far = || format!("{k} finished frames are in {}.partial", outputs.results.display());
         let Decoded { image, decode_ms } = decoded.with_context(so_far)?;
-        tracker.set_camera(frame.camera)?;
-        let tracked = tracker.track(&image).with_context(so_far)?;
+        let tracked = tracker.track(frame, &image).with_context(so_far)?;
         let believed = (tracked.status, tracked.probability);
         let row = row((scene.id, frame.id, object), &tracked.estimate, believed, tracked.time_ms);
         results.write(&row)?;

@@ -38,12 +38,13 @@ pub struct RigTracker {
 
 impl RigTracker {
     /// A rig of the camera of `reference`, a tracker with the default method, and others, which share its model. What
-    /// [`Tracker::search_by`] was told to it holds for all of them, priors of the first pose left out.
+    /// [`Tracker::start_at`] and [`Tracker::search_by`] have told it holds for the rig; priors of the first pose hold for its own camera.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a camera that is none and for a model of something else or with appearance modes; those of
     /// [`Tracker::another`] and of loading a model.
     pub fn new(reference: Tracker, others: Vec<RigCamera>, options: Options) -> Result<Self> {
+        let motion = reference.motion;
         let (mut trackers, mut camera_from_reference) = (vec![reference], vec![Pose::identity()]);
         for other in others {
             let mut tracker = trackers[0].another()?;
@@ -58,7 +59,7 @@ impl RigTracker {
         }
         let appearance = vec![0.0; trackers[0].model().modes()];
         let aligner = InverseCompositional::new(options);
-        Ok(Self { trackers, camera_from_reference, aligner, motion: None, appearance, lost_frames: 0 })
+        Ok(Self { trackers, camera_from_reference, aligner, motion, appearance, lost_frames: 0 })
     }
 
     /// Sets where to look in the next frames: the pose in the reference camera.
