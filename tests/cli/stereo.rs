@@ -43,5 +43,5 @@ fn both_cameras_of_a_pair() {
     );
     refused(&format!("{stereo} --other-model {shown}/none"), &["none"]);
     fs::remove_file(to.join("gray/000002.png")).expect("removed");
-    refused(&stereo, &["000002.png"]);
+    refused(&stereo, &["000003", "no such image"]);
 }
