@@ -6,6 +6,8 @@ mod bad_input;
 mod bad_output;
 #[path = "cli/first_pose.rs"]
 mod first_pose;
+#[path = "cli/method.rs"]
+mod method;
 #[path = "cli/program.rs"]
 mod program;
 #[path = "cli/stereo.rs"]
@@ -302,20 +304,4 @@ fn two_runs_give_the_same_bytes() {
     assert!(bytes(&out.join("data1").join(image)) == bytes(&m.data.join(image)), "images differ");
     assert_eq!(timeless("results1", ","), timeless("results2", ","), "results");
     assert_eq!(timeless("details1", ",\"time_ms\""), timeless("details2", ",\"time_ms\""), "details");
-}
-
-#[test]
-fn the_order_belongs_to_the_method_paper_and_cut_models_are_named() {
-    let (m, out) = (made(), folder("order"));
-    let (model, data, to) = (m.model.display(), m.data.display(), out.display());
-    let wrong = ["--paper-order", "choice of the method paper"];
-    let track = format!("track {model} {data} --scene 1 --backend cpu --out {to}/r.csv");
-    program::refused(&format!("{track} --paper-order right"), &wrong);
-    program::refused(&format!("demo --frames 2 --paper-order left --out {to}/demo"), &wrong);
-    let experiment = format!("experiment --frames 2 --methods edge --paper-order left --out {to}/e");
-    program::refused(&experiment, &wrong);
-    let warning = |more: &str| json(&format!("{track} {more}"))["warning"].as_str().map(str::to_owned);
-    let said = warning("--method paper --paper-order right").expect("the triangles are cut");
-    assert!(said.contains("--whole-triangles"), "{said}");
-    assert_eq!(warning("--method forward-additive"), None, "made for any triangles");
 }

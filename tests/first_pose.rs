@@ -1,5 +1,6 @@
 //! Is the object found in single images, without any pose to start from? Simulated, where the truth is known. The
-//! figures of many views are in `docs/maths.md`; here are a few of every kind.
+//! figures of many views are in `docs/maths.md`; here are a few of every kind. `AAM6D_VIEWS=200` looks at so many of every
+//! kind instead, partly hidden ones and images without the object among them, and `AAM6D_SEED` at others.
 
 mod support;
 
@@ -19,6 +20,15 @@ use support::tracking::{distance_px, say};
 /// The tracker comes back from this far, pixels (rms over the mesh).
 const BASIN_PX: f64 = 20.0;
 const SEED: u64 = 11;
+
+/// A number of the environment.
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok()?.parse().ok()
+}
+
+fn seed() -> u64 {
+    number("AAM6D_SEED").unwrap_or(SEED)
+}
 
 /// An object, a model trained on 13 views of a cap of 60 degrees, and what finds it.
 struct Searched {
@@ -108,7 +118,7 @@ impl Searched {
         let noise = Some(Noise { sigma: 2.0, seed: 5, frame: k });
         let view = View { pose: *pose, light, occluder, blur: 0.0, noise };
         if k.is_multiple_of(2) || occlusion > 0.0 {
-            self.plain.clone().with_clutter(SEED, k).render_view(&view)
+            self.plain.clone().with_clutter(seed(), k).render_view(&view)
         } else {
             self.plain.render_view(&view)
         }
@@ -121,32 +131,58 @@ impl Searched {
         self.finder.find(&mut self.backend, &mut aligner, &target, priors).expect("a search")
     }
 
-    /// How many of so many views end in the basin, and within a pixel; a wrong pose is an error.
-    fn count(&mut self, views: u64, occlusion: f64) -> (u64, u64) {
-        let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-        let (mut basin, mut exact) = (0, 0);
+    /// How many of so many views end in the basin, and within a pixel, and how many with a wrong pose.
+    fn count(&mut self, views: u64, occlusion: f64) -> (u64, u64, u64) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed());
+        let (mut basin, mut exact, mut wrong) = (0, 0, 0);
+        let began = cpu_time::ProcessTime::now();
         for k in 0..views {
             let truth = self.random_pose(&mut rng);
             let image = self.image(k, &truth, occlusion, &mut rng);
             let Some(best) = self.find(&image, &Priors::default()).best else { continue };
             let px = distance_px(&self.camera(), self.vertices(), &truth, &best.camera_from_object);
-            assert!(px < BASIN_PX, "view {k}: a pose {px:.1} px off is believed");
+            if px >= BASIN_PX {
+                say(format_args!("view {k}: a pose {px:.1} px off is believed"));
+                wrong += 1;
+                continue;
+            }
             basin += 1;
             exact += u64::from(px < 1.0);
         }
         say(format_args!(
-            "{:?}, {occlusion} hidden: {basin} found, {exact} within 1 px of {views}",
-            self.scene
+            "{:?}, {occlusion} hidden: {basin} found, {exact} within 1 px, {wrong} wrong of {views}; {:.2} s of processor time each, rendering included",
+            self.scene,
+            began.elapsed().as_secs_f64() / views as f64
         ));
-        (basin, exact)
+        (basin, exact, wrong)
+    }
+}
+
+impl Searched {
+    /// The figures of many views.
+    fn figures(&mut self, views: u64) {
+        self.count(views, 0.0);
+        self.count(views, 0.3);
+        let away = Pose::new(Rotation3::identity(), Vector3::new(50.0, 0.0, 1.0));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed());
+        let mut believed = 0;
+        for k in 0..views / 2 {
+            let image = self.image(2 * k, &away, 0.0, &mut rng);
+            believed += u64::from(self.find(&image, &Priors::default()).best.is_some());
+        }
+        say(format_args!("{:?}, without the object: {believed} poses in {} images", self.scene, views / 2));
     }
 }
 
 /// 99 % of twenty views are all of them; of 97 % within a pixel twenty views cannot tell one from none missing.
 fn finds_all(scene: SceneKind) {
     let mut searched = Searched::new(scene);
-    let (basin, exact) = searched.count(20, 0.0);
+    if let Some(views) = number("AAM6D_VIEWS") {
+        return searched.figures(views);
+    }
+    let (basin, exact, wrong) = searched.count(20, 0.0);
     assert!(basin == 20 && exact >= 19, "{scene:?}: {basin} found, {exact} within a pixel of 20");
+    assert_eq!(wrong, 0, "wrong poses are believed");
 }
 
 #[test]
@@ -163,7 +199,7 @@ fn finds_the_box() {
 fn reports_nothing_where_nothing_is_and_priors_narrow() {
     let mut searched = Searched::new(SceneKind::Relief);
     let away = Pose::new(Rotation3::identity(), Vector3::new(50.0, 0.0, 1.0));
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed());
     for k in 0..10 {
         let image = searched.image(2 * k, &away, 0.0, &mut rng);
         let found = searched.find(&image, &Priors::default());
