@@ -150,7 +150,7 @@ impl Searched {
             exact += u64::from(px < 1.0);
         }
         say(format_args!(
-            "{:?}, {occlusion} hidden: {basin} found, {exact} within 1 px, {wrong} wrong of {views}; {:.2} s of processor time each, rendering included",
+            "{:?}, {occlusion} hidden: {basin} found, {exact} within 1 px, {wrong} wrong of {views}; {:.2} s of the whole process each",
             self.scene,
             began.elapsed().as_secs_f64() / views as f64
         ));
