@@ -76,27 +76,16 @@ fn frame(sequence: &Sequence, story: Story, k: usize) -> Frame {
     let gone = BEFORE + GOING;
     let back = gone + story.away();
     let share = (k.saturating_sub(BEFORE) as f64 / GOING as f64).min(1.0);
-    let (truth, seen, hidden) = if k >= back {
-        (shifted(&sequence.pose(k + 30), -0.04, 0.03), Seen::Whole, 0.0)
-    } else if let Story::Leaves = story {
+    let seen = match share {
+        _ if k >= back || share <= 0.0 => Seen::Whole,
+        1.0 => Seen::Gone,
+        _ => Seen::Partly,
+    };
+    let (truth, hidden) = match story {
+        _ if k >= back => (shifted(&sequence.pose(k + 30), -0.04, 0.03), 0.0),
         // Faster and faster to the right, out of view when it has gone.
-        let seen = if share >= 1.0 {
-            Seen::Gone
-        } else if share > 0.0 {
-            Seen::Partly
-        } else {
-            Seen::Whole
-        };
-        (shifted(&sequence.pose(k), 0.62 * share * share, 0.0), seen, 0.0)
-    } else {
-        let seen = if share >= 1.0 {
-            Seen::Gone
-        } else if share > 0.0 {
-            Seen::Partly
-        } else {
-            Seen::Whole
-        };
-        (sequence.pose(k), seen, share)
+        Story::Leaves => (shifted(&sequence.pose(k), 0.62 * share * share, 0.0), 0.0),
+        Story::IsCovered => (sequence.pose(k), share),
     };
     let noise = Some(Noise { sigma: 2.0, seed: 3, frame: k as u64 });
     let occluder = (hidden > 0.0).then_some(Occluder { fraction: hidden, angle: 2.2 });

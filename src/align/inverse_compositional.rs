@@ -49,13 +49,21 @@ impl Default for Options {
 pub struct InverseCompositional {
     /// Choices.
     pub options: Options,
-    pub(super) work: Workspace,
+    work: Workspace,
 }
 
 impl InverseCompositional {
     /// The method with the given choices.
     pub fn new(options: Options) -> Self {
         Self { options, work: Workspace::default() }
+    }
+
+    /// Lends the memory that is kept between frames.
+    pub(super) fn with_work<T>(&mut self, task: impl FnOnce(&Self, &mut Workspace) -> T) -> T {
+        let mut work = std::mem::take(&mut self.work);
+        let done = task(self, &mut work);
+        self.work = work;
+        done
     }
 
     pub(super) fn settings(&self, level: usize, robust: Option<usize>) -> Settings {
@@ -199,10 +207,7 @@ impl Aligner for InverseCompositional {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         check(target, starts)?;
-        let mut work = std::mem::take(&mut self.work);
-        let aligned = self.picked_up(backend, target, starts, &mut work, estimates);
-        self.work = work;
-        aligned
+        self.with_work(|method, work| method.picked_up(backend, target, starts, work, estimates))
     }
 
     fn refine(
@@ -213,11 +218,8 @@ impl Aligner for InverseCompositional {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         check(target, starts)?;
-        let mut work = std::mem::take(&mut self.work);
         let levels = (COARSEST_ROBUST, COARSEST_ROBUST);
-        let refined = self.descend(backend, target, levels, starts, &mut work, estimates);
-        self.work = work;
-        refined
+        self.with_work(|method, work| method.descend(backend, target, levels, starts, work, estimates))
     }
 
     fn search(
@@ -227,9 +229,6 @@ impl Aligner for InverseCompositional {
         around: &Start,
     ) -> Result<Option<PoseEstimate>> {
         check(target, std::slice::from_ref(around))?;
-        let mut work = std::mem::take(&mut self.work);
-        let found = self.shift_search(backend, target, around, &mut work);
-        self.work = work;
-        found.map(Some)
+        self.with_work(|method, work| method.shift_search(backend, target, around, work)).map(Some)
     }
 }

@@ -3,13 +3,15 @@
 
 use std::time::Instant;
 
+use nalgebra::Matrix6;
+
 use super::covariance::covariance;
 use super::evaluator::{Evaluation, Evaluator, check, look_at, ms_since, score, tracked_levels};
 use super::inverse_compositional::{COARSEST_ROBUST, InverseCompositional};
 use super::levenberg_marquardt::{Look, Settings, State, Steps};
-use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost, total_cost};
+use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::score::Score;
-use super::workspace::Workspace;
+use super::workspace::{Workspace, reset_matrix, reset_vector};
 use super::{AlignTimes, PoseEstimate, Start, Target};
 use crate::backend::{Backend, Sums};
 use crate::error::Result;
@@ -61,10 +63,7 @@ impl InverseCompositional {
     /// # Errors
     /// Those of the backends, and [`crate::Error::Invalid`] for a start that does not fit the model.
     pub fn align_joint(&mut self, eyes: &mut [Eye<'_>], start: &Start) -> Result<PoseEstimate> {
-        let mut work = std::mem::take(&mut self.work);
-        let estimate = self.joint_descent(eyes, start, &mut work);
-        self.work = work;
-        estimate
+        self.with_work(|method, work| method.joint_descent(eyes, start, work))
     }
 
     fn joint_descent(
@@ -197,4 +196,39 @@ impl Joint {
 
 fn rows<'r>(problem: &LevelProblem<'_>, data: &'r [f64]) -> Rows<'r> {
     Rows { data, row_len: Sums::row_len(problem.level.pixels.modes.len()) }
+}
+
+impl NormalEquations {
+    /// The sum of the equations of several cameras, whose increments are the same: that of the object in its own axes. Costs
+    /// and displacements become means over all of them; the prior of the appearance counts once per camera.
+    fn sum<'e>(&mut self, parts: impl Iterator<Item = &'e Self> + Clone) {
+        let n = parts.clone().map(|p| p.gradient.len()).max().unwrap_or(0);
+        reset_matrix(&mut self.hessian, n, n);
+        reset_matrix(&mut self.scatter, n, n);
+        reset_vector(&mut self.gradient, n);
+        (self.triangles, self.displacement) = (0, Matrix6::zeros());
+        (self.cost, self.weight) = total_cost(parts.clone().map(|p| (p.cost, p.weight)));
+        for part in parts {
+            self.hessian += &part.hessian;
+            self.scatter += &part.scatter;
+            self.gradient += &part.gradient;
+            #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+            let triangles = part.triangles as f64;
+            self.displacement += part.displacement * triangles;
+            self.triangles += part.triangles;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+        let triangles = self.triangles.max(1) as f64;
+        self.displacement /= triangles;
+    }
+}
+
+/// Mean squared residual of several cameras from each one's mean and sum of weights; a camera that sees nothing has no say.
+fn total_cost(parts: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
+    let (mut squares, mut weight) = (0.0, 0.0);
+    for (cost, w) in parts.filter(|(_, w)| *w > 0.0) {
+        squares += cost * w;
+        weight += w;
+    }
+    if weight > 0.0 { (squares / weight, weight) } else { (f64::INFINITY, 0.0) }
 }

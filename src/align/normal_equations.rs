@@ -150,29 +150,6 @@ impl NormalEquations {
         (self.cost, self.weight) = mean_cost(rows, s, solutions, &state.appearance);
     }
 
-    /// The sum of the equations of several cameras, whose increments are the same: that of the object in its own axes. Costs
-    /// and displacements become means over all of them.
-    pub(super) fn sum<'e>(&mut self, parts: impl Iterator<Item = &'e Self> + Clone) {
-        let n = parts.clone().map(|p| p.gradient.len()).max().unwrap_or(0);
-        reset_matrix(&mut self.hessian, n, n);
-        reset_matrix(&mut self.scatter, n, n);
-        reset_vector(&mut self.gradient, n);
-        (self.triangles, self.displacement) = (0, Matrix6::zeros());
-        (self.cost, self.weight) = total_cost(parts.clone().map(|p| (p.cost, p.weight)));
-        for part in parts {
-            self.hessian += &part.hessian;
-            self.scatter += &part.scatter;
-            self.gradient += &part.gradient;
-            #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
-            let triangles = part.triangles as f64;
-            self.displacement += part.displacement * triangles;
-            self.triangles += part.triangles;
-        }
-        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
-        let triangles = self.triangles.max(1) as f64;
-        self.displacement /= triangles;
-    }
-
     /// Pose block of JtQJ after the appearance parameters are eliminated; zero where they are not determined.
     pub(super) fn pose_hessian(&self, solver: &mut Solver) -> Matrix6<f64> {
         let l = self.gradient.len() - 6;
@@ -263,16 +240,6 @@ impl NormalEquations {
             self.gradient[j] += solution.value[0] * g + solution.value[1] * b;
         }
     }
-}
-
-/// Mean squared residual of several cameras from each one's mean and sum of weights; a camera that sees nothing has no say.
-pub(super) fn total_cost(parts: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
-    let (mut squares, mut weight) = (0.0, 0.0);
-    for (cost, w) in parts.filter(|(_, w)| *w > 0.0) {
-        squares += cost * w;
-        weight += w;
-    }
-    if weight > 0.0 { (squares / weight, weight) } else { (f64::INFINITY, 0.0) }
 }
 
 /// Weighted mean squared residual after gain and bias with the given triangle weights, and the sum of weights.

@@ -3,6 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::error::Result;
+use crate::geometry::distance::rms_px;
 use crate::geometry::{Camera, Pose, TriangleMesh};
 
 /// Beyond this distance of the object's centre the object counts as lost, millimetres.
@@ -77,13 +78,7 @@ pub fn corner_error_px(
     corners: &[Point3<f64>; 8],
     camera: &Camera,
 ) -> Option<f64> {
-    let pinhole = camera.rectified();
-    let mut sum = 0.0;
-    for corner in corners {
-        let at = |pose: &Pose| pinhole.project(&pose.transform_point(corner));
-        sum += (at(estimate)? - at(truth)?).norm_squared();
-    }
-    Some((sum / 8.0).sqrt())
+    rms_px(camera, corners, estimate, truth)
 }
 
 /// Error of a motion between two frames: millimetres of the reference point, degrees. `(first, later)` poses of

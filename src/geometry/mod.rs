@@ -2,6 +2,7 @@
 
 pub mod bundle;
 pub mod camera;
+pub mod distance;
 pub mod few_points;
 pub mod hand_eye;
 mod least_squares;

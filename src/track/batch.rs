@@ -4,6 +4,7 @@
 use image::GrayImage;
 use rayon::prelude::*;
 
+use super::course::Course;
 use super::search::Search;
 use super::{FrameTimes, Tracked, Tracker};
 use crate::error::{Error, Result};
@@ -25,11 +26,8 @@ impl Tracker {
             rectified: GrayImage::default(),
             is_rectified: false,
             times: FrameTimes::default(),
-            motion: None,
+            course: Course::unknown(self.model.modes()),
             search: self.search.as_ref().map(Search::another),
-            appearance: vec![0.0; self.appearance.len()],
-            lost_frames: 0,
-            correlation: 1.0,
             starts: Vec::new(),
             estimates: Vec::new(),
         })

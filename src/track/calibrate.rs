@@ -2,7 +2,7 @@
 //! corrupted copies of them.
 
 use image::{GrayImage, Luma, imageops};
-use nalgebra::{Point2, Vector6};
+use nalgebra::Vector6;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,6 +11,7 @@ use crate::align::{Aligner, InverseCompositional, Start, Target};
 use crate::backend::{Backend, CpuBackend};
 use crate::error::Result;
 use crate::geometry::Pose;
+use crate::geometry::distance::rms_px;
 use crate::model::{Calibration, Model};
 use crate::train::TrainingImage;
 
@@ -135,10 +136,6 @@ fn starts(model: &Model, image: &TrainingImage, rng: &mut ChaCha8Rng) -> Vec<Sta
 
 /// Distance of the corners from where they are in a training image, root mean square.
 fn moved_px(model: &Model, image: &TrainingImage, pose: &Pose) -> f64 {
-    let project = |pose: &Pose, x| -> Option<Point2<f64>> { image.camera.project(&pose.transform_point(x)) };
-    let square = |x| {
-        let (a, b) = (project(&image.camera_from_object, x), project(pose, x));
-        a.zip(b).map_or(f64::INFINITY, |(a, b)| (a - b).norm_squared())
-    };
-    (model.shape.corners.iter().map(square).sum::<f64>() / 8.0).sqrt()
+    let corners = &model.shape.corners;
+    rms_px(&image.camera, corners, &image.camera_from_object, pose).unwrap_or(f64::INFINITY)
 }

@@ -4,13 +4,10 @@ use std::time::Instant;
 
 use image::GrayImage;
 
-use super::{FrameTimes, Status, Tracker, ms_since};
+use super::course::RECOVERED_CORRELATION;
+use super::{FrameTimes, Tracker, ms_since};
 use crate::align::{PoseEstimate, Start, Target};
 use crate::error::{Error, Result};
-
-/// After a lost frame a pose is believed from this median correlation on: wrong poses that a search ended in reached
-/// 0.76 where right ones have more than 0.9.
-const RECOVERED_CORRELATION: f64 = 0.8;
 
 /// A pose below [`RECOVERED_CORRELATION`] is checked by a search if the correlation fell by this since the last frame:
 /// it may be a local minimum.
@@ -48,9 +45,9 @@ impl Tracker {
         self.times.align = self.aligner.times();
         let began = Instant::now();
         for (estimate, start) in estimates.iter_mut().zip(starts) {
-            let fell =
-                estimate.score.correlation < RECOVERED_CORRELATION.min(self.correlation - FALLEN_CORRELATION);
-            if self.status(estimate).has_pose() && !fell {
+            let fell = estimate.score.correlation
+                < RECOVERED_CORRELATION.min(self.course.correlation - FALLEN_CORRELATION);
+            if self.course.status(estimate, &self.model).has_pose() && !fell {
                 continue;
             }
             if let Some(found) = self.aligner.search(self.backend.as_mut(), &target, start)? {
@@ -64,16 +61,5 @@ impl Tracker {
         }
         self.times.search_ms = ms_since(began);
         Ok(())
-    }
-
-    /// Is the object where the estimate says?
-    pub(super) fn status(&self, estimate: &PoseEstimate) -> Status {
-        self.status_after(estimate, self.lost_frames)
-    }
-
-    /// Is the object where the estimate says? Coming back after a loss needs more evidence than going on.
-    pub(super) fn status_after(&self, estimate: &PoseEstimate, lost_frames: usize) -> Status {
-        let back = lost_frames == 0 || estimate.score.correlation >= RECOVERED_CORRELATION;
-        if back { Status::of_probability(self.probability(estimate)) } else { Status::Lost }
     }
 }

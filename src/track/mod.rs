@@ -2,6 +2,7 @@
 
 mod batch;
 mod calibrate;
+mod course;
 mod locate;
 mod prediction;
 pub mod realign;
@@ -20,6 +21,7 @@ use crate::error::Result;
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
 use crate::model::Model;
+use course::{Course, probability};
 use prediction::Motion;
 use search::Search;
 
@@ -43,14 +45,9 @@ pub struct Tracker {
     is_rectified: bool,
     /// Where the time of the current frame went.
     times: FrameTimes,
-    motion: Option<Motion>,
+    course: Course,
     /// Looks for the object in the whole image, while there is no pose to start from and after a loss.
     search: Option<Search>,
-    appearance: Vec<f64>,
-    /// Frames since the last one with a pose: coming back needs more evidence than going on.
-    lost_frames: usize,
-    /// Median correlation in the last believed frame.
-    correlation: f64,
     /// Memory of the start and the estimate of a frame.
     starts: Vec<Start>,
     estimates: Vec<PoseEstimate>,
@@ -80,7 +77,7 @@ impl Tracker {
         camera.validate()?;
         let id = backend.load(&model)?;
         aligner.prepare(backend.as_mut(), &model, id)?;
-        let appearance = vec![0.0; model.modes()];
+        let course = Course::unknown(model.modes());
         let rectifier = Rectifier::new(&camera);
         Ok(Self {
             backend,
@@ -92,11 +89,8 @@ impl Tracker {
             rectified: GrayImage::default(),
             is_rectified: false,
             times: FrameTimes::default(),
-            motion: None,
+            course,
             search: None,
-            appearance,
-            lost_frames: 0,
-            correlation: 1.0,
             starts: Vec::new(),
             estimates: Vec::new(),
         })
@@ -104,9 +98,7 @@ impl Tracker {
 
     /// Sets where to look in the next frame.
     pub fn start_at(&mut self, camera_from_object: Pose) {
-        self.motion = Some(Motion::at_rest(camera_from_object));
-        self.appearance.fill(0.0);
-        (self.lost_frames, self.correlation) = (0, 1.0);
+        self.course.start_at(camera_from_object);
     }
 
     /// Changes the camera of the following frames (zoom, another calibration per frame).
@@ -129,7 +121,7 @@ impl Tracker {
     fn set_model(&mut self, model: Model) -> Result<()> {
         self.id = self.backend.load(&model)?;
         self.aligner.prepare(self.backend.as_mut(), &model, self.id)?;
-        self.appearance = vec![0.0; model.modes()];
+        self.course = Course::unknown(model.modes());
         self.model = Arc::new(model);
         if let Some(search) = &mut self.search {
             search.forget_templates();
@@ -149,7 +141,7 @@ impl Tracker {
 
     /// Probability that the pose of an estimate is right, as the model was calibrated.
     pub fn probability(&self, estimate: &PoseEstimate) -> f64 {
-        self.model.calibration.probability(estimate.score.margin())
+        probability(estimate, &self.model)
     }
 
     /// Tracks the object into the next frame. After a lost frame it is looked for where it was seen last, and, with
@@ -172,11 +164,12 @@ impl Tracker {
     /// As [`Self::track`]; what is in `tracked` then means nothing.
     pub fn track_into(&mut self, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
         let began = Instant::now();
-        match self.motion {
+        match self.course.motion {
             Some(motion) => self.track_from(motion, image, tracked)?,
             None => self.find_first(image, tracked)?,
         }
-        self.follow(tracked);
+        self.course.follow(tracked.status, &tracked.estimate);
+        tracked.rate(&self.model);
         (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
         Ok(())
     }
@@ -185,8 +178,7 @@ impl Tracker {
         let (mut starts, mut estimates) =
             (std::mem::take(&mut self.starts), std::mem::take(&mut self.estimates));
         starts.resize_with(1, Start::default);
-        starts[0].camera_from_object = motion.predict(&self.model.shape.centre);
-        starts[0].appearance.clone_from(&self.appearance);
+        self.course.expected(&motion, &self.model, &mut starts[0]);
         let aligned = self.align_into(image, &starts, &mut estimates);
         if aligned.is_ok() {
             // The caller's memory is that of the next frame.
@@ -194,25 +186,8 @@ impl Tracker {
         }
         (self.starts, self.estimates) = (starts, estimates);
         aligned?;
-        tracked.status = self.status(&tracked.estimate);
+        tracked.status = self.course.status(&tracked.estimate, &self.model);
         if tracked.status == Status::Lost { self.recover(image, &motion, tracked) } else { Ok(()) }
-    }
-
-    /// Goes on from an estimate, if there is one.
-    fn follow(&mut self, tracked: &mut Tracked) {
-        let estimate = &tracked.estimate;
-        tracked.probability = self.probability(estimate);
-        if tracked.status.has_pose() {
-            let pose = estimate.camera_from_object;
-            self.motion = Some(self.motion.map_or(Motion::found(pose), |motion| motion.advance(pose)));
-            self.appearance.clone_from(&estimate.appearance);
-            self.correlation = estimate.score.correlation;
-            self.lost_frames = 0;
-        } else {
-            self.motion = self.motion.map(Motion::stop);
-            self.appearance.fill(0.0);
-            self.lost_frames += 1;
-        }
     }
 
     /// Aligns every start with one frame, each on its own, and leaves the track as it is. Around starts from which

@@ -4,12 +4,11 @@
 //! shape. Aligned with the mean of all images, they agree to hundredths of a pixel. What they have in common stays: it
 //! is the object frame.
 
-use nalgebra::Point2;
-
 use super::Tracker;
 use crate::align::{InverseCompositional, Start};
 use crate::backend::CpuBackend;
 use crate::error::{Error, Result};
+use crate::geometry::distance::rms_px;
 use crate::geometry::{Pose, TriangleMesh};
 use crate::model::Model;
 use crate::train::{TrainOptions, TrainingImage, train};
@@ -71,14 +70,7 @@ fn realign(model: Model, mesh: &TriangleMesh, images: &mut [TrainingImage]) -> R
 
 /// Distance between the vertices as seen from the image's pose and from another one, root mean square.
 fn moved_px(mesh: &TriangleMesh, image: &TrainingImage, other: &Pose) -> f64 {
-    let project = |pose: &Pose, x| -> Option<Point2<f64>> { image.camera.project(&pose.transform_point(x)) };
-    let square = |x| {
-        let moved = project(&image.camera_from_object, x).zip(project(other, x)).map(|(a, b)| a - b);
-        moved.map_or(f64::INFINITY, |d| d.norm_squared())
-    };
-    #[expect(clippy::cast_precision_loss, reason = "vertex counts are far below 2^52")]
-    let count = mesh.vertices.len() as f64;
-    (mesh.vertices.iter().map(square).sum::<f64>() / count).sqrt()
+    rms_px(&image.camera, &mesh.vertices, &image.camera_from_object, other).unwrap_or(f64::INFINITY)
 }
 
 #[cfg(test)]

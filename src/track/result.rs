@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::course::probability;
 use crate::align::{AlignTimes, PoseEstimate};
+use crate::model::Model;
 
 /// A pose is tracked from this probability on that it is right.
 const CERTAIN: f64 = 0.9;
@@ -13,7 +15,7 @@ const LIKELY: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
-    /// The pose is believed: right with a probability of at least 0.9.
+    /// The pose is believed: right with a probability of at least 0.9, and, if it was searched for, recognised clearly since.
     Tracking,
     /// The pose is more likely right than not, and followed.
     Uncertain,
@@ -47,7 +49,7 @@ impl Status {
 pub struct Tracked {
     /// Is the pose to be believed?
     pub status: Status,
-    /// Probability (0..1) that the pose is right: within a few pixels of the truth, all over the object.
+    /// Probability (0..1) that the pose is right: within a few pixels of the truth, all over the object; 0 without a pose.
     /// [`crate::model::Calibration`] says where it comes from.
     pub probability: f64,
     /// The pose and all that is known about it.
@@ -70,6 +72,13 @@ pub struct FrameTimes {
     pub align: AlignTimes,
     /// Searching for what was not found there.
     pub search_ms: f64,
+}
+
+impl Tracked {
+    /// States how probable it is.
+    pub(super) fn rate(&mut self, model: &Model) {
+        self.probability = if self.status.has_pose() { probability(&self.estimate, model) } else { 0.0 };
+    }
 }
 
 impl Default for Tracked {

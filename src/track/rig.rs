@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use image::GrayImage;
 
-use super::prediction::Motion;
+use super::course::Course;
 use super::{Status, Tracked, Tracker, ms_since};
 use crate::align::{Eye, InverseCompositional, Options, PoseEstimate, Start, Target};
 use crate::error::{Error, Result};
@@ -31,9 +31,7 @@ pub struct RigTracker {
     trackers: Vec<Tracker>,
     camera_from_reference: Vec<Pose>,
     aligner: InverseCompositional,
-    motion: Option<Motion>,
-    appearance: Vec<f64>,
-    lost_frames: usize,
+    course: Course,
 }
 
 impl RigTracker {
@@ -44,7 +42,7 @@ impl RigTracker {
     /// [`Error::Invalid`] for a camera that is none and for a model of something else or with appearance modes; those of
     /// [`Tracker::another`] and of loading a model.
     pub fn new(reference: Tracker, others: Vec<RigCamera>, options: Options) -> Result<Self> {
-        let motion = reference.motion;
+        let course = reference.course.clone();
         let (mut trackers, mut camera_from_reference) = (vec![reference], vec![Pose::identity()]);
         for other in others {
             let mut tracker = trackers[0].another()?;
@@ -57,16 +55,13 @@ impl RigTracker {
             trackers.push(tracker);
             camera_from_reference.push(other.camera_from_reference);
         }
-        let appearance = vec![0.0; trackers[0].model().modes()];
         let aligner = InverseCompositional::new(options);
-        Ok(Self { trackers, camera_from_reference, aligner, motion, appearance, lost_frames: 0 })
+        Ok(Self { trackers, camera_from_reference, aligner, course })
     }
 
     /// Sets where to look in the next frames: the pose in the reference camera.
     pub fn start_at(&mut self, reference_from_object: Pose) {
-        self.motion = Some(Motion::at_rest(reference_from_object));
-        self.appearance.fill(0.0);
-        self.lost_frames = 0;
+        self.course.start_at(reference_from_object);
     }
 
     /// The model.
@@ -98,9 +93,10 @@ impl RigTracker {
             return Err(Error::invalid("frames of the rig", problem, "give one image per camera"));
         }
         let began = Instant::now();
-        let mut tracked = match self.motion {
+        let mut tracked = match self.course.motion {
             Some(motion) => {
-                let start = self.start(motion.predict(&self.model().shape.centre));
+                let mut start = Start::default();
+                self.course.expected(&motion, self.model(), &mut start);
                 self.take_frames(images)?;
                 let mut tracked = self.align(images, &start)?;
                 if tracked.status == Status::Lost {
@@ -110,14 +106,11 @@ impl RigTracker {
             }
             None => self.find_first(images)?,
         };
-        self.follow(&tracked);
+        self.course.follow(tracked.status, &tracked.estimate);
+        tracked.rate(self.trackers[0].model());
         tracked.time_ms = ms_since(began);
         tracked.times = self.trackers[0].times;
         Ok(tracked)
-    }
-
-    fn start(&self, pose: Pose) -> Start {
-        Start { camera_from_object: pose, appearance: self.appearance.clone() }
     }
 
     fn take_frames(&mut self, images: &[&GrayImage]) -> Result<()> {
@@ -136,9 +129,8 @@ impl RigTracker {
             })
             .collect();
         let estimate = self.aligner.align_joint(&mut eyes, start)?;
-        let probability = self.trackers[0].probability(&estimate);
-        let status = self.trackers[0].status_after(&estimate, self.lost_frames);
-        Ok(Tracked { status, probability, estimate, ..Tracked::default() })
+        let status = self.course.status(&estimate, self.model());
+        Ok(Tracked { status, estimate, ..Tracked::default() })
     }
 
     /// Lets every camera search on its own around where the object was expected, and, after a loss, its whole image; what
@@ -148,14 +140,14 @@ impl RigTracker {
             let place = self.camera_from_reference[k];
             let seen =
                 Start { camera_from_object: place.compose(&start.camera_from_object), ..start.clone() };
-            let found = self.trackers[k].look_for(images[k], &seen, self.lost_frames)?;
+            let found = self.trackers[k].look_for(images[k], &seen, &self.course)?;
             let Some(found) = found else { continue };
             self.take_up(images, k, &found, tracked)?;
             if tracked.status.has_pose() {
                 return Ok(());
             }
         }
-        if self.lost_frames > 0 && self.trackers[0].searches() {
+        if self.course.lost_frames > 0 && self.trackers[0].searches() {
             tracked.status = Status::Searching;
         }
         Ok(())
@@ -199,20 +191,6 @@ impl RigTracker {
             *tracked = joint;
         }
         Ok(())
-    }
-
-    fn follow(&mut self, tracked: &Tracked) {
-        let estimate = &tracked.estimate;
-        if tracked.status.has_pose() {
-            let pose = estimate.camera_from_object;
-            self.motion = Some(self.motion.map_or(Motion::found(pose), |motion| motion.advance(pose)));
-            self.appearance.clone_from(&estimate.appearance);
-            self.lost_frames = 0;
-        } else {
-            self.motion = self.motion.map(Motion::stop);
-            self.appearance.fill(0.0);
-            self.lost_frames += 1;
-        }
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use image::GrayImage;
 
+use super::course::{Course, status_of_found};
 use super::prediction::Motion;
 use super::{Status, Tracked, Tracker, ms_since};
 use crate::align::{PoseEstimate, Start, Target};
@@ -97,34 +98,32 @@ impl Tracker {
         if !self.searches() {
             return Ok(());
         }
-        let near = self.lost_frames.is_multiple_of(2);
+        let near = self.course.lost_frames.is_multiple_of(2);
         let priors = Priors { last_seen: near.then(|| motion.last()), ..Priors::default() };
         let found = self.search_frame(image, &priors)?;
         let (status, estimate) = self.outcome(found)?;
         if status.has_pose() {
             (tracked.status, tracked.estimate) = (status, estimate);
-        } else if self.lost_frames > 0 {
+        } else if self.course.lost_frames > 0 {
             tracked.status = Status::Searching;
         }
         Ok(())
     }
 
-    /// For a rig: looks around a pose from which nothing was found after so many lost frames, then, where that is wished,
-    /// in the whole frame.
+    /// For a rig, whose course this camera follows: looks around a pose from which nothing was found, then, where that is
+    /// wished, in the whole frame.
     pub(super) fn look_for(
         &mut self,
         image: &GrayImage,
         around: &Start,
-        lost_frames: usize,
+        course: &Course,
     ) -> Result<Option<PoseEstimate>> {
-        self.lost_frames = lost_frames;
+        self.course.clone_from(course);
         let mut tracked = Tracked::default();
-        let motion = Motion::at_rest(around.camera_from_object);
-        let mut estimates = self.align(image, std::slice::from_ref(around))?;
-        tracked.estimate = estimates.remove(0);
-        tracked.status = self.status_after(&tracked.estimate, lost_frames.max(1));
+        tracked.estimate = self.align(image, std::slice::from_ref(around))?.remove(0);
+        tracked.status = course.status(&tracked.estimate, &self.model);
         if tracked.status == Status::Lost {
-            self.recover(image, &motion, &mut tracked)?;
+            self.recover(image, &Motion::at_rest(around.camera_from_object), &mut tracked)?;
         }
         Ok(tracked.status.has_pose().then_some(tracked.estimate))
     }
@@ -157,7 +156,7 @@ impl Tracker {
 
     fn outcome(&self, found: Found) -> Result<(Status, PoseEstimate)> {
         let status = found.best.as_ref().map_or(Status::Searching, |best| {
-            let status = Status::of_probability(self.probability(best));
+            let status = status_of_found(best, &self.model);
             if status.has_pose() { status } else { Status::Searching }
         });
         let estimate = found.best.or(found.rejected);

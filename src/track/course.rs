@@ -1,0 +1,113 @@
+//! What a track remembers from frame to frame, with one camera or several.
+
+use super::Status;
+use super::prediction::Motion;
+use crate::align::{PoseEstimate, Start};
+use crate::geometry::Pose;
+use crate::model::Model;
+
+/// After a loss, or a search, a pose is certain from this median correlation on: wrong poses that a search ended in reached
+/// 0.76 where right ones have more than 0.9.
+pub(super) const RECOVERED_CORRELATION: f64 = 0.8;
+
+/// Where the object was, and how sure that is.
+#[derive(Debug, Clone)]
+pub(super) struct Course {
+    /// `None` before the first pose.
+    pub(super) motion: Option<Motion>,
+    pub(super) appearance: Vec<f64>,
+    /// Frames since the last one with a pose: coming back needs more evidence than going on.
+    pub(super) lost_frames: usize,
+    /// Median correlation in the last frame with a pose.
+    pub(super) correlation: f64,
+    /// False from a search, which may end in a wrong pose of a half-hidden object, until the object is recognised clearly.
+    is_confirmed: bool,
+}
+
+impl Course {
+    /// Of an object that was not seen yet.
+    pub(super) fn unknown(modes: usize) -> Self {
+        let appearance = vec![0.0; modes];
+        Self { motion: None, appearance, lost_frames: 0, correlation: 1.0, is_confirmed: false }
+    }
+
+    /// Begins at a pose that is known.
+    pub(super) fn start_at(&mut self, pose: Pose) {
+        self.motion = Some(Motion::at_rest(pose));
+        self.appearance.fill(0.0);
+        (self.lost_frames, self.correlation, self.is_confirmed) = (0, 1.0, true);
+    }
+
+    /// Where the object is expected in the next frame.
+    pub(super) fn expected(&self, motion: &Motion, model: &Model, start: &mut Start) {
+        start.camera_from_object = motion.predict(&model.shape.centre);
+        start.appearance.clone_from(&self.appearance);
+    }
+
+    /// Status of a pose that was aligned from where it was expected.
+    pub(super) fn status(&self, estimate: &PoseEstimate, model: &Model) -> Status {
+        if self.lost_frames > 0 && estimate.score.correlation < RECOVERED_CORRELATION {
+            return Status::Lost;
+        }
+        let status = Status::of_probability(probability(estimate, model));
+        if self.is_confirmed { status } else { unconfirmed(status, estimate) }
+    }
+
+    /// Goes on from what is known of a frame, if there is a pose.
+    pub(super) fn follow(&mut self, status: Status, estimate: &PoseEstimate) {
+        if status.has_pose() {
+            let pose = estimate.camera_from_object;
+            self.motion = Some(self.motion.map_or(Motion::found(pose), |motion| motion.advance(pose)));
+            self.appearance.clone_from(&estimate.appearance);
+            (self.lost_frames, self.correlation) = (0, estimate.score.correlation);
+            self.is_confirmed |= self.correlation >= RECOVERED_CORRELATION;
+        } else {
+            self.motion = self.motion.map(Motion::stop);
+            self.appearance.fill(0.0);
+            self.lost_frames += 1;
+            self.is_confirmed = false;
+        }
+    }
+}
+
+/// Status of a pose that a search of the whole image has found.
+pub(super) fn status_of_found(estimate: &PoseEstimate, model: &Model) -> Status {
+    unconfirmed(Status::of_probability(probability(estimate, model)), estimate)
+}
+
+/// Probability that the pose of an estimate is right, as the model was calibrated.
+pub(super) fn probability(estimate: &PoseEstimate, model: &Model) -> f64 {
+    model.calibration.probability(estimate.score.margin())
+}
+
+/// Not more than uncertain unless the object is recognised clearly.
+fn unconfirmed(status: Status, estimate: &PoseEstimate) -> Status {
+    let is_clear = estimate.score.correlation >= RECOVERED_CORRELATION;
+    if status == Status::Tracking && !is_clear { Status::Uncertain } else { status }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::Score;
+
+    fn seen(correlation: f64) -> PoseEstimate {
+        let score = Score { correlation, recognised: 0.9, visible: 0.5 };
+        PoseEstimate { score, ..PoseEstimate::default() }
+    }
+
+    #[test]
+    fn what_a_search_found_half_hidden_stays_uncertain_until_it_is_clear() {
+        let tracking = Status::Tracking;
+        assert_eq!(unconfirmed(tracking, &seen(0.7)), Status::Uncertain, "half hidden");
+        assert_eq!(unconfirmed(tracking, &seen(0.9)), tracking, "clear");
+        let mut course = Course::unknown(0);
+        course.follow(Status::Uncertain, &seen(0.7));
+        assert!(!course.is_confirmed && course.motion.is_some(), "followed, not confirmed");
+        course.follow(tracking, &seen(0.9));
+        course.follow(tracking, &seen(0.7));
+        assert!(course.is_confirmed, "it was clear once");
+        course.follow(Status::Lost, &seen(0.1));
+        assert!(!course.is_confirmed && course.lost_frames == 1, "until the next loss");
+    }
+}
