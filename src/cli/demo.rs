@@ -156,7 +156,7 @@ fn run_direction(
         latency: Latency::Low,
         what: "tracking",
     };
-    let estimates = track_scene(&mut tracker, &scene, &outputs)?;
+    let estimates = track_scene(&mut tracker, &scene, &outputs)?.estimates;
     let evaluation = evaluate(&estimates, &poses, &EvalObject::new(&mesh)?, &scene.cameras())?;
     let name =
         format!("{:?}, trained on scene {trained_on}, tracked in scene {tracked}", args.scene).to_lowercase();

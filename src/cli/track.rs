@@ -19,7 +19,7 @@ use crate::dataset::Scene;
 use crate::eval::Estimate;
 use crate::eval::statistics::{median, percentile};
 use crate::model::Model;
-use crate::track::Tracker;
+use crate::track::{Status, Tracker};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -68,10 +68,21 @@ pub(super) struct Outputs<'a> {
     pub(super) what: &'a str,
 }
 
+/// A scene after tracking.
+#[derive(Debug)]
+pub(super) struct Track {
+    pub(super) estimates: Vec<Estimate>,
+    /// Frames with a pose that is not certain.
+    uncertain: usize,
+}
+
 #[derive(Debug, Serialize)]
 struct Summary {
     frames: usize,
+    /// Frames with a pose.
     tracked: usize,
+    /// Those of them whose pose is followed but not certain.
+    uncertain: usize,
     lost: usize,
     lost_frames: Vec<u32>,
     ms_per_frame: Times,
@@ -108,18 +119,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         what: "tracking",
     };
     let mut tracker = args.stereo.follow(tracker, &dataset, &scene, args.method.method)?;
-    let estimates = track_scene(tracker.as_mut(), &scene, &outputs)?;
+    let track = track_scene(tracker.as_mut(), &scene, &outputs)?;
     if let Some(path) = &args.tum {
-        write_trajectory(path, &estimates)?;
+        write_trajectory(path, &track.estimates)?;
     }
-    let summary = summarise(&estimates, args.method.method, tracker.backend_name(), args.out.clone());
+    let summary = summarise(&track, args.method.method, tracker.backend_name(), args.out.clone());
     let summary = Summary { warning, ..summary };
     let times = [summary.ms_per_frame.median, summary.ms_per_frame.p95].map(|t| t.unwrap_or(0.0));
     let mut text = format!(
-        "{}: {} of {} frames tracked, {} lost {:?}\nmethod {}, backend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
+        "{}: {} of {} frames tracked ({} of them uncertain), {} lost {:?}\nmethod {}, backend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
         args.out.display(),
         summary.tracked,
         summary.frames,
+        summary.uncertain,
         summary.lost,
         summary.lost_frames,
         summary.method,
@@ -139,11 +151,11 @@ pub(super) fn track_scene(
     tracker: &mut dyn Follow,
     scene: &Scene,
     outputs: &Outputs<'_>,
-) -> anyhow::Result<Vec<Estimate>> {
+) -> anyhow::Result<Track> {
     let mut results = ResultsFile::create(outputs.results)?;
     let mut details = outputs.details.map(DetailsFile::create).transpose()?;
     let bar = progress::frames(scene.frames.len(), outputs.what);
-    let mut estimates = Vec::with_capacity(scene.frames.len());
+    let mut track = Track { estimates: Vec::with_capacity(scene.frames.len()), uncertain: 0 };
     let object = tracker.model().object_id;
     each_frame(scene, outputs.latency, |k, frame, decoded| {
         let so_far = || format!("{k} finished frames are in {}.partial", outputs.results.display());
@@ -162,7 +174,8 @@ pub(super) fn track_scene(
         }
         #[expect(clippy::cast_precision_loss, reason = "iteration counts are small")]
         let iterations = Some(tracked.estimate.iterations as f64);
-        estimates.push(Estimate {
+        track.uncertain += usize::from(tracked.status == Status::Uncertain);
+        track.estimates.push(Estimate {
             frame: frame.id,
             pose: row.pose,
             score: row.score,
@@ -175,7 +188,7 @@ pub(super) fn track_scene(
     bar.finish_and_clear();
     results.finish()?;
     details.map_or(Ok(()), DetailsFile::finish)?;
-    Ok(estimates)
+    Ok(track)
 }
 
 fn write_trajectory(path: &Path, estimates: &[Estimate]) -> anyhow::Result<()> {
@@ -185,7 +198,8 @@ fn write_trajectory(path: &Path, estimates: &[Estimate]) -> anyhow::Result<()> {
     Ok(crate::dataset::Trajectory { poses }.write(path)?)
 }
 
-fn summarise(estimates: &[Estimate], method: Method, backend: String, results: PathBuf) -> Summary {
+fn summarise(track: &Track, method: Method, backend: String, results: PathBuf) -> Summary {
+    let estimates = &track.estimates;
     let lost_frames: Vec<u32> = estimates.iter().filter(|e| e.score <= 0.0).map(|e| e.frame).collect();
     let times: Vec<f64> = estimates.iter().filter_map(|e| e.time_s).map(|t| t * 1e3).collect();
     #[expect(clippy::cast_precision_loss, reason = "frame counts are small")]
@@ -193,6 +207,7 @@ fn summarise(estimates: &[Estimate], method: Method, backend: String, results: P
     Summary {
         frames: estimates.len(),
         tracked: estimates.len() - lost_frames.len(),
+        uncertain: track.uncertain,
         lost: lost_frames.len(),
         lost_frames,
         ms_per_frame: Times { median: median(&times), p95: percentile(&times, 95.0) },

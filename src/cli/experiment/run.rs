@@ -56,7 +56,7 @@ impl Plan<'_> {
             latency: Latency::Low,
             what: &self.label,
         };
-        let estimates = track_scene(&mut tracker, scene, &outputs)?;
+        let estimates = track_scene(&mut tracker, scene, &outputs)?.estimates;
         let evaluation = evaluate(&estimates, truth, object, &scene.cameras())?;
         let drawn = scene.frames.iter().step_by(every);
         let overlays = drawn.map(|f| format!("overlays/{}/{:06}.png", self.name(), f.id)).collect();
