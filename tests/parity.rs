@@ -7,7 +7,6 @@ use std::process::ExitCode;
 use aam6d::backend::cpu::downsample::downsample;
 use aam6d::backend::gpu::{GpuOptions, PyramidPlace};
 use aam6d::backend::{Backend, CpuBackend, ScanPeak};
-use aam6d::imaging::GrayImage;
 use libtest_mimic::Failed;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -15,7 +14,7 @@ use support::gpu::{linearization, open, shared, sums, trial};
 use support::linear::LinearReference;
 use support::scan::{ScanScene, compare_peaks};
 use support::sums::Reference;
-use support::{Scene, image};
+use support::{Scene, compare_images, image};
 
 /// Around the sizes of workgroups and chunks, and a full template.
 const PIXELS: [usize; 5] = [1, 255, 256, 257, 72_000];
@@ -273,19 +272,6 @@ fn downsample_agrees(pyramid: PyramidPlace) -> Result<(), Failed> {
         }
     }
     Ok(())
-}
-
-fn compare_images(a: &GrayImage, b: &GrayImage) -> Result<(), String> {
-    if a.dimensions() != b.dimensions() {
-        return Err(format!("sizes {:?} and {:?}", a.dimensions(), b.dimensions()));
-    }
-    let differences: Vec<_> = a
-        .enumerate_pixels()
-        .zip(b.pixels())
-        .filter(|((_, _, p), q)| p != q)
-        .map(|((x, y, p), q)| format!("({x}, {y}): {} and {}", p[0], q[0]))
-        .collect();
-    if differences.is_empty() { Ok(()) } else { Err(differences.join(", ")) }
 }
 
 fn a_changed_image_is_noticed() -> Result<(), Failed> {

@@ -3,70 +3,17 @@
 
 mod support;
 
-use aam6d::align::{InverseCompositional, Options};
-use aam6d::backend::CpuBackend;
-use aam6d::geometry::{Camera, Pose};
+use aam6d::geometry::Pose;
 use aam6d::imaging::GrayImage;
-use aam6d::model::Model;
-use aam6d::simulate::{Noise, Renderer, SceneKind, Sequence, SequenceOptions, View};
-use aam6d::track::{RigCamera, RigTracker, SearchOptions, Status, Tracked, Tracker};
-use aam6d::train::TrainOptions;
+use aam6d::simulate::{SceneKind, View};
+use aam6d::track::{RigCamera, Status, Tracked};
 use nalgebra::{Rotation3, Vector3};
-use support::tracking::{Disturbance, distance_px, say, sixteen, trained};
+use support::pair::Pair;
+use support::tracking::{cpu, distance_px, say};
 
 const FRAMES: usize = 24;
 
-/// Two cameras 0.25 m apart that look at the same place, and what they see of a sequence.
-struct Pair {
-    sequence: Sequence,
-    model: Model,
-    camera: Camera,
-    other: RigCamera,
-    frames: Vec<[GrayImage; 2]>,
-}
-
 impl Pair {
-    fn new(scene: SceneKind) -> Self {
-        let sequence = |number| {
-            let options = SequenceOptions { scene, sequence: number, ..SequenceOptions::default() };
-            Sequence::new(options).expect("good options")
-        };
-        let model = trained(&sequence(2), &sixteen(), &TrainOptions::default());
-        let sequence = sequence(1);
-        let camera = *sequence.camera();
-        let turn = Rotation3::new(Vector3::y() * 0.45);
-        let camera_from_reference = Pose::new(turn, Vector3::new(-0.25, 0.0, 0.05));
-        // Another focal length and another light.
-        let second = Camera::pinhole(650.0, 655.0, 330.0, 235.0, 640, 480);
-        let other = RigCamera { camera: second, camera_from_reference, model: None };
-        let beside = Renderer::new(scene.object(1), second).expect("an object").with_clutter(9, 1);
-        let pair = |k: usize| {
-            let mut view = sequence.view(k);
-            view.pose = camera_from_reference.compose(&view.pose);
-            view.light.gain = 0.8;
-            view.noise = Some(Noise { sigma: 2.0, seed: 8, frame: k as u64 });
-            [sequence.image(k), beside.render_view(&view)]
-        };
-        let frames = (0..FRAMES).map(pair).collect();
-        Self { sequence, model, camera, other, frames }
-    }
-
-    fn tracker(&self) -> Tracker {
-        let aligner = Box::new(InverseCompositional::default());
-        Tracker::new(self.model.clone(), self.camera, Box::new(CpuBackend::new()), aligner).expect("it fits")
-    }
-
-    fn rig(&self, other: RigCamera) -> RigTracker {
-        let mut tracker = self.tracker();
-        tracker.search_by(SearchOptions::default()).expect("good options");
-        RigTracker::new(tracker, vec![other], Options::default()).expect("it fits")
-    }
-
-    fn start(&self) -> Pose {
-        let vertices = &self.sequence.object().mesh.vertices;
-        Disturbance::new(5, self.camera, vertices, self.model.shape.centre).apply(&self.sequence.pose(0), 3.0)
-    }
-
     /// Root mean square of the error of the centre, millimetres, and of the rotation, degrees.
     fn rms(&self, tracked: &[Tracked]) -> [f64; 2] {
         let centre = &self.model.shape.centre;
@@ -89,7 +36,7 @@ impl Pair {
     }
 
     fn alone(&self) -> [f64; 2] {
-        let mut tracker = self.tracker();
+        let mut tracker = self.tracker(cpu());
         tracker.start_at(self.start());
         let track = |[a, _]: &[GrayImage; 2]| tracker.track(a).expect("good frames");
         self.rms(&self.frames.iter().map(track).collect::<Vec<_>>())
@@ -97,7 +44,7 @@ impl Pair {
 }
 
 fn better(scene: SceneKind) {
-    let pair = Pair::new(scene);
+    let pair = Pair::new(scene, FRAMES);
     let (alone, joint) = (pair.alone(), pair.joint(pair.other.clone()));
     // A second camera that is not where it is said to be must show.
     let off = Pose::new(Rotation3::identity(), Vector3::new(0.002, 0.0, 0.0));
@@ -122,7 +69,7 @@ fn two_cameras_are_better_than_one_box() {
 
 #[test]
 fn one_camera_may_see_nothing() {
-    let pair = Pair::new(SceneKind::Box);
+    let pair = Pair::new(SceneKind::Box, FRAMES);
     let blind = GrayImage::from_pixel(640, 480, image::Luma([90]));
     let mut rig = pair.rig(pair.other.clone());
     rig.start_at(pair.start());
@@ -151,7 +98,7 @@ fn one_camera_may_see_nothing() {
 
 #[test]
 fn the_first_pose_may_come_from_either_camera() {
-    let pair = Pair::new(SceneKind::Relief);
+    let pair = Pair::new(SceneKind::Relief, FRAMES);
     let empty = pair.sequence.renderer().render_view(&View {
         pose: Pose::new(Rotation3::identity(), Vector3::new(50.0, 0.0, 1.0)),
         ..View::default()

@@ -12,10 +12,11 @@ use aam6d::geometry::Pose;
 use aam6d::imaging::GrayImage;
 use aam6d::model::Model;
 use aam6d::simulate::{SceneKind, Sequence};
-use aam6d::track::{Status, Tracked};
+use aam6d::track::{RigCamera, Status, Tracked};
 use aam6d::train::TrainOptions;
 use libtest_mimic::Failed;
 use support::gpu::{open, trial};
+use support::pair::Pair;
 use support::tracking::{
     Disturbance, cpu, distance_px, say, sequence, sixteen, start, track, tracker, tracker_with, trained,
 };
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         trial("track/relief_4_modes", || whole_track(SceneKind::Relief, 4)),
         trial("track/box", || whole_track(SceneKind::Box, 0)),
         trial("track/lost", lost_and_found_alike),
+        trial("track/rig", two_cameras_alike),
         trial("track/control_frame", a_disturbed_frame_is_noticed),
     ])
 }
@@ -223,6 +225,23 @@ fn lost_and_found_alike() -> Result<(), Failed> {
     frames[3] = sequence.renderer().render(&away);
     frames[4] = frames[3].clone();
     Ok(both(&sequence, &model, &frames, &frames)?)
+}
+
+/// Two cameras, each with a model of its own on its backend; the control is a second camera half a millimetre off.
+fn two_cameras_alike() -> Result<(), Failed> {
+    let pair = Pair::new(SceneKind::Box, 8);
+    let run = |backend, off: f64| {
+        let shift = Pose::from_quaternion(Pose::identity().quaternion(), nalgebra::Vector3::x() * off);
+        let camera_from_reference = shift.compose(&pair.other.camera_from_reference);
+        let model = Some(pair.model.clone());
+        let mut rig = pair.rig_on(backend, RigCamera { camera_from_reference, model, ..pair.other.clone() });
+        rig.start_at(pair.start());
+        let track = |[a, b]: &[GrayImage; 2]| rig.track(&[a, b]).expect("good frames");
+        pair.frames.iter().map(track).collect::<Vec<_>>()
+    };
+    let on_cpu = run(cpu(), 0.0);
+    compare_tracks(&pair.sequence, &pair.model, &on_cpu, &run(gpu(), 0.0))?;
+    noticed(compare_tracks(&pair.sequence, &pair.model, &on_cpu, &run(gpu(), 5e-4)), "frame 0:")
 }
 
 fn a_disturbed_frame_is_noticed() -> Result<(), Failed> {

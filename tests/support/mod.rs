@@ -7,9 +7,10 @@ pub(crate) mod day;
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
 pub(crate) mod linear;
+pub(crate) mod pair;
 pub(crate) mod scan;
 pub(crate) mod scene;
 pub(crate) mod sums;
 pub(crate) mod tracking;
 
-pub(crate) use scene::{Scene, image};
+pub(crate) use scene::{Scene, compare_images, image};

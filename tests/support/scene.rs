@@ -174,3 +174,17 @@ fn model(pixels: Pixels, charts: Vec<Chart>) -> Model {
 fn index(n: usize) -> u32 {
     u32::try_from(n).expect("small")
 }
+
+/// Lists the pixels in which two images differ.
+pub(crate) fn compare_images(a: &GrayImage, b: &GrayImage) -> Result<(), String> {
+    if a.dimensions() != b.dimensions() {
+        return Err(format!("sizes {:?} and {:?}", a.dimensions(), b.dimensions()));
+    }
+    let differences: Vec<_> = a
+        .enumerate_pixels()
+        .zip(b.pixels())
+        .filter(|((_, _, p), q)| p != q)
+        .map(|((x, y, p), q)| format!("({x}, {y}): {} and {}", p[0], q[0]))
+        .collect();
+    if differences.is_empty() { Ok(()) } else { Err(differences.join(", ")) }
+}
