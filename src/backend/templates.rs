@@ -1,5 +1,7 @@
 //! What the `scan` stage takes and hands back: sparse templates of a normalised gradient, scored at every position.
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result};
 use crate::imaging::NormalisedGradient;
 
@@ -7,7 +9,7 @@ use crate::imaging::NormalisedGradient;
 pub const TILE: usize = 20;
 
 /// One point of a template.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ScanPoint {
     /// Where it is, pixels from the template's anchor.
     pub offset: [i16; 2],

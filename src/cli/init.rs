@@ -1,7 +1,7 @@
 //! Where the first pose of a track comes from: a search, poses of the data set, a file, or clicked points.
 
 use std::convert::Infallible;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::frames::pose_of;
@@ -79,16 +79,17 @@ impl Distances {
 }
 
 impl InitArgs {
-    /// Tells the tracker where to look first.
+    /// Tells the tracker where to look first; templates are kept beside the file `model`.
     pub(super) fn start(
         &self,
         tracker: &mut Tracker,
+        model: &Path,
         dataset: &Dataset,
         scene: u32,
         first: &FrameInfo,
     ) -> anyhow::Result<()> {
         if !self.no_recover {
-            tracker.search_by(self.search(dataset, tracker.model())?)?;
+            tracker.search_by(self.search(dataset, model, tracker.model())?)?;
         }
         if let Some(path) = &self.init_points {
             let points = read_points(path)?;
@@ -111,17 +112,21 @@ impl InitArgs {
             }
             Init::Auto => {
                 let first = Priors { image_box: self.image_box()?, ..Priors::default() };
-                tracker.search_by(SearchOptions { first, ..self.search(dataset, tracker.model())? })?;
+                tracker
+                    .search_by(SearchOptions { first, ..self.search(dataset, model, tracker.model())? })?;
             }
         }
         Ok(())
     }
 
-    fn search(&self, dataset: &Dataset, model: &Model) -> anyhow::Result<SearchOptions> {
+    fn search(&self, dataset: &Dataset, path: &Path, model: &Model) -> anyhow::Result<SearchOptions> {
         let distance = self.distance.as_ref().map(Distances::range).transpose()?;
         let symmetries = self.symmetries(dataset, model)?;
         let find = FindOptions { distance, symmetries, ..FindOptions::default() };
-        Ok(SearchOptions { find, first: Priors::default(), recover: !self.no_recover })
+        let mut templates = path.as_os_str().to_owned();
+        templates.push(".templates");
+        let templates = Some(PathBuf::from(templates));
+        Ok(SearchOptions { find, first: Priors::default(), recover: !self.no_recover, templates })
     }
 
     fn image_box(&self) -> anyhow::Result<Option<[f64; 4]>> {

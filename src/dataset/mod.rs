@@ -14,6 +14,7 @@ pub mod points;
 pub mod poses;
 pub mod results;
 pub mod robot;
+pub mod sealed;
 pub mod stereo;
 pub mod trajectory;
 

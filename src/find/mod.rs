@@ -7,6 +7,7 @@
 //! `docs/maths.md`, "First pose".
 
 mod atlas;
+mod cache;
 mod descent;
 mod grid;
 mod hypotheses;
@@ -17,6 +18,7 @@ mod render;
 mod stages;
 mod templates;
 
+use std::path::Path;
 use std::time::Instant;
 
 use crate::align::{Aligner, PoseEstimate, Start, Target};
@@ -119,6 +121,37 @@ impl Finder {
     /// [`Error::Invalid`] for a camera that is none or has lens distortion, for options out of range, and if the model
     /// has no charts to render.
     pub fn new(model: &Model, camera: &Camera, options: &FindOptions) -> Result<Self> {
+        Self::of(model, camera, options, |_, render| Ok(render()))
+    }
+
+    /// As [`Self::new`], with the templates of a file if it has those that are needed; else it is written for the next time. What is
+    /// wrong with the file is logged as a warning and costs no more than the time it would have saved.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`].
+    pub fn cached(model: &Model, camera: &Camera, options: &FindOptions, path: &Path) -> Result<Self> {
+        Self::of(model, camera, options, |scanned, render| {
+            let key = cache::Key::new(model, scanned, options)?;
+            match cache::load(path, &key, model) {
+                Ok(Some(templates)) => return Ok(templates),
+                Ok(None) => {}
+                Err(error) => tracing::warn!("{error}; templates are rendered anew"),
+            }
+            let templates = render();
+            if let Err(error) = cache::save(path, &key, &templates) {
+                tracing::warn!("{error}; templates will be rendered again");
+            }
+            Ok(templates)
+        })
+    }
+
+    /// `get` has the camera of the scanned image and renders if it must.
+    fn of(
+        model: &Model,
+        camera: &Camera,
+        options: &FindOptions,
+        get: impl FnOnce(&Camera, &dyn Fn() -> Templates) -> Result<Templates>,
+    ) -> Result<Self> {
         camera.validate()?;
         if !camera.distortion.is_none() {
             return Err(Error::invalid("camera", "it has lens distortion", "search in rectified images"));
@@ -127,7 +160,8 @@ impl Finder {
         let longest = camera.width.max(camera.height);
         let level = (0..).find(|level| longest >> level <= SCAN_SIDE).unwrap_or(0);
         let atlas = Atlas::new(model);
-        let templates = Templates::render(model, &atlas, &camera.at_level(level), options);
+        let scanned = camera.at_level(level);
+        let templates = get(&scanned, &|| Templates::render(model, &atlas, &scanned, options))?;
         if templates.poses.is_empty() {
             let problem = "no pose in which the model knows most of what is seen";
             return Err(Error::invalid("model", problem, "train it with views of the sides to be found"));

@@ -39,23 +39,33 @@ impl Templates {
                 template(&surface_points(picture, &centred, pose), &centred, options.points)
             })
             .collect();
-        let mut templates = Self {
-            scan: ScanTemplates::default(),
-            poses: Vec::new(),
-            centre: model.shape.centre,
-            radius: Vec::new(),
-        };
+        let mut templates = Self::of(model);
         let anchor = nalgebra::Point2::new(centred.cx, centred.cy);
         for (pose, points) in poses.iter().zip(rendered) {
             let Some(points) = points else { continue };
             let distance = |x: &Point3<f64>| {
                 centred.project(&pose.transform_point(x)).map_or(0.0, |p| (p - anchor).norm())
             };
-            templates.scan.push(&points);
-            templates.poses.push(*pose);
-            templates.radius.push(model.shape.mesh.vertices.iter().map(distance).fold(0.0, f64::max));
+            let radius = model.shape.mesh.vertices.iter().map(distance).fold(0.0, f64::max);
+            templates.push(*pose, &points, radius);
         }
         templates
+    }
+
+    /// None yet.
+    pub(super) fn of(model: &Model) -> Self {
+        Self {
+            scan: ScanTemplates::default(),
+            poses: Vec::new(),
+            centre: model.shape.centre,
+            radius: Vec::new(),
+        }
+    }
+
+    pub(super) fn push(&mut self, pose: Pose, points: &[ScanPoint], radius: f64) {
+        self.scan.push(points);
+        self.poses.push(pose);
+        self.radius.push(radius);
     }
 }
 

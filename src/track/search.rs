@@ -1,5 +1,6 @@
 //! The whole image is searched where no pose is given: for the first one, and after a loss.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -23,11 +24,13 @@ pub struct SearchOptions {
     pub first: Priors,
     /// Search after a loss as well, every frame until the object is found.
     pub recover: bool,
+    /// A file to keep the templates in ([`Finder::cached`]); `None`: they are rendered at every start.
+    pub templates: Option<PathBuf>,
 }
 
 impl Default for SearchOptions {
     fn default() -> Self {
-        Self { find: FindOptions::default(), first: Priors::default(), recover: true }
+        Self { find: FindOptions::default(), first: Priors::default(), recover: true, templates: None }
     }
 }
 
@@ -53,7 +56,11 @@ impl Search {
         if let Some(finder) = &self.finder {
             return Ok(finder.clone());
         }
-        let finder = Arc::new(Finder::new(model, camera, &self.options.find)?);
+        let find = &self.options.find;
+        let finder = Arc::new(match &self.options.templates {
+            Some(path) => Finder::cached(model, camera, find, path)?,
+            None => Finder::new(model, camera, find)?,
+        });
         tracing::info!("searching with {} templates", finder.templates());
         self.finder = Some(finder.clone());
         Ok(finder)
@@ -133,10 +140,10 @@ impl Tracker {
         self.search.as_ref().is_some_and(|s| s.options.recover)
     }
 
-    /// What is known of the first pose holds for one camera.
+    /// What is known of the first pose holds for one camera, and so does a file of templates.
     pub(super) fn forget_priors(&mut self) {
         if let Some(search) = &mut self.search {
-            search.options.first = Priors::default();
+            (search.options.first, search.options.templates) = (Priors::default(), None);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use crate::program::{FRAMES, folder, json, made, refused};
+use crate::program::{FRAMES, done, folder, json, made, refused};
 
 #[test]
 fn a_track_starts_by_itself() {
@@ -13,6 +13,36 @@ fn a_track_starts_by_itself() {
     // Nothing of the object is where it is looked for: every frame is lost, and none is an error.
     let t = json(&format!("{track} --distance 500..700 --box 0,0,150,400 --out {}/e.csv", out.display()));
     assert_eq!(t["lost"].as_u64(), Some(FRAMES as u64), "{t}");
+}
+
+/// The templates of the search are kept beside the model: the same poses with them, without them and with a file that is damaged.
+#[test]
+fn templates_are_kept_beside_the_model() {
+    let (m, out) = (made(), folder("templates"));
+    let model = out.join("model.aam6d");
+    fs::copy(&m.model, &model).expect("copied");
+    let kept = out.join("model.aam6d.templates");
+    let track = format!("track {} {} --scene 1 --backend cpu", model.display(), m.data.display());
+    let poses = |name: &str, more: &str| {
+        let path = out.join(name);
+        done(&format!("{track} {more} --out {}", path.display()));
+        let text = fs::read_to_string(path).expect("results");
+        text.lines().map(|l| l.rsplit_once(',').expect("columns").0.to_owned()).collect::<Vec<_>>()
+    };
+    let first = poses("first.csv", "");
+    let bytes = fs::read(&kept).expect("the templates");
+    assert_eq!(poses("again.csv", ""), first, "with the templates of the file");
+    assert!(fs::read(&kept).expect("the templates") == bytes, "they were not written again");
+    let mut damaged = bytes.clone();
+    damaged[bytes.len() / 2] ^= 1;
+    fs::write(&kept, &damaged).expect("written");
+    assert_eq!(poses("damaged.csv", ""), first, "rendered anew");
+    assert!(fs::read(&kept).expect("the templates") == bytes, "and written anew");
+    poses("near.csv", "--distance 500..700");
+    assert!(fs::read(&kept).expect("the templates") != bytes, "others are needed for other distances");
+    fs::remove_file(&kept).expect("removed");
+    fs::create_dir(&kept).expect("a folder in its place");
+    assert_eq!(poses("unwritable.csv", ""), first, "a file that cannot be written costs time only");
 }
 
 /// Four corners of the relief, clicked where the known pose of the first frame shows them.
