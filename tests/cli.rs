@@ -12,6 +12,8 @@ mod method;
 mod program;
 #[path = "cli/repeat.rs"]
 mod repeat;
+#[path = "cli/smooth.rs"]
+mod smooth;
 #[path = "cli/stereo.rs"]
 mod stereo;
 

@@ -151,6 +151,7 @@ fn run_direction(
     let outputs = Outputs {
         results: &results,
         details: Some(&details),
+        smoothing: None,
         overlay: Some(&overlay),
         overlay_every: 10,
         latency: Latency::Low,

@@ -19,6 +19,7 @@ mod overlay;
 mod progress;
 mod records;
 mod simulate;
+mod smoothed;
 mod summary;
 mod track;
 mod train;

@@ -12,6 +12,7 @@ use super::frames::SceneArgs;
 use super::init::InitArgs;
 use super::method::MethodArgs;
 use super::records::{DetailsFile, FrameRecord, ResultsFile, row};
+use super::smoothed::{SmoothArgs, SmoothedFile, Smoothing};
 use super::summary::JsonArg;
 use super::{overlay, progress};
 use crate::align::Method;
@@ -44,6 +45,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
+    smooth: SmoothArgs,
+    #[command(flatten)]
     method: MethodArgs,
     /// When the next frame is read; the results are the same
     #[arg(long, value_enum, default_value_t)]
@@ -59,6 +62,7 @@ pub(super) struct Args {
 pub(super) struct Outputs<'a> {
     pub(super) results: &'a Path,
     pub(super) details: Option<&'a Path>,
+    pub(super) smoothing: Option<&'a Smoothing>,
     pub(super) overlay: Option<&'a Path>,
     /// Every how many frames a picture is written.
     pub(super) overlay_every: usize,
@@ -90,6 +94,8 @@ struct Summary {
     method: Method,
     backend: String,
     results: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    smoothed: Option<Smoothing>,
     /// What the model lacks for the method.
     #[serde(skip_serializing_if = "Option::is_none")]
     warning: Option<String>,
@@ -106,13 +112,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let (dataset, scene) = args.scene.open()?;
     let aligner = args.method.aligner()?;
     let warning = args.method.misfit(&model);
+    let smoothing = args.smooth.smoothing()?;
     let opened = args.backend.open()?;
     let first = &scene.frames[0];
     let mut tracker = Tracker::new(model, first.camera, opened.backend, aligner)?;
-    args.init.start(&mut tracker, &dataset, scene.id, first)?;
+    args.init.start(&mut tracker, &args.model, &dataset, scene.id, first)?;
     let outputs = Outputs {
         results: &args.out,
         details: args.details.as_deref(),
+        smoothing: smoothing.as_ref(),
         overlay: args.overlay.as_deref(),
         overlay_every: 1,
         latency: args.latency,
@@ -124,7 +132,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         write_trajectory(path, &track.estimates)?;
     }
     let summary = summarise(&track, args.method.method, tracker.backend_name(), args.out.clone());
-    let summary = Summary { warning, ..summary };
+    let summary = Summary { warning, smoothed: smoothing, ..summary };
     let times = [summary.ms_per_frame.median, summary.ms_per_frame.p95].map(|t| t.unwrap_or(0.0));
     let mut text = format!(
         "{}: {} of {} frames tracked ({} of them uncertain), {} lost {:?}\nmethod {}, backend {} ({}), {:.1} ms per frame (95 %: {:.1} ms)",
@@ -140,6 +148,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         times[0],
         times[1],
     );
+    if let Some(smoothed) = &summary.smoothed {
+        text += &format!("\n{smoothed}");
+    }
     if let Some(warning) = &summary.warning {
         text += &format!("\nwarning: {warning}");
     }
@@ -154,6 +165,8 @@ pub(super) fn track_scene(
 ) -> anyhow::Result<Track> {
     let mut results = ResultsFile::create(outputs.results)?;
     let mut details = outputs.details.map(DetailsFile::create).transpose()?;
+    let smoothing = outputs.smoothing.map(|s| SmoothedFile::create(s, tracker.model()));
+    let mut smoothed = smoothing.transpose()?;
     let bar = progress::frames(scene.frames.len(), outputs.what);
     let mut track = Track { estimates: Vec::with_capacity(scene.frames.len()), uncertain: 0 };
     let object = tracker.model().object_id;
@@ -164,6 +177,9 @@ pub(super) fn track_scene(
         let believed = (tracked.status, tracked.probability);
         let row = row((scene.id, frame.id, object), &tracked.estimate, believed, tracked.time_ms);
         results.write(&row)?;
+        if let Some(smoothed) = &mut smoothed {
+            smoothed.push(&row, &tracked)?;
+        }
         if let Some(details) = &mut details {
             let place = (scene.id, frame.id);
             details.write(&FrameRecord::new(tracker.model(), place, &tracked, decode_ms))?;
@@ -188,6 +204,7 @@ pub(super) fn track_scene(
     bar.finish_and_clear();
     results.finish()?;
     details.map_or(Ok(()), DetailsFile::finish)?;
+    smoothed.map_or(Ok(()), SmoothedFile::finish)?;
     Ok(track)
 }
 
@@ -215,6 +232,7 @@ fn summarise(track: &Track, method: Method, backend: String, results: PathBuf) -
         method,
         backend,
         results,
+        smoothed: None,
         warning: None,
     }
 }

@@ -9,6 +9,7 @@ pub mod realign;
 mod result;
 mod rig;
 mod search;
+pub mod smooth;
 
 use std::sync::Arc;
 use std::time::Instant;

@@ -51,6 +51,7 @@ impl Plan<'_> {
         let outputs = Outputs {
             results: &results,
             details: Some(&details),
+            smoothing: None,
             overlay: Some(&overlay),
             overlay_every: every,
             latency: Latency::Low,
