@@ -142,7 +142,11 @@ impl Searched {
             let Some(best) = self.find(&image, &Priors::default()).best else { continue };
             let px = distance_px(&self.camera(), self.vertices(), &truth, &best.camera_from_object);
             if px >= BASIN_PX {
-                say(format_args!("view {k}: a pose {px:.1} px off is believed"));
+                // A tracker calls it certain from a correlation of 0.8 on.
+                let correlation = best.score.correlation;
+                say(format_args!(
+                    "view {k}: a pose {px:.1} px off is believed, correlation {correlation:.2}"
+                ));
                 wrong += 1;
                 continue;
             }
