@@ -11,6 +11,7 @@ use aam6d::geometry::{Camera, Pose};
 use aam6d::imaging::GrayImage;
 use aam6d::model::Model;
 use aam6d::simulate::{Light, Noise, Occluder, Renderer, SceneKind, View};
+use aam6d::track::{SearchOptions, Status, Tracker};
 use aam6d::train::{TrainOptions, TrainingImage, train};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -38,6 +39,7 @@ struct Searched {
     backend: CpuBackend,
     id: ModelId,
     finder: Finder,
+    seed: u64,
 }
 
 /// The middle of the cap: the front of the relief, a corner of the box.
@@ -73,7 +75,7 @@ impl Searched {
         let mut backend = CpuBackend::new();
         let id = backend.load(&model).expect("fits");
         let finder = Finder::new(&model, &camera, &FindOptions::default()).expect("charts");
-        Self { scene, plain, model, backend, id, finder }
+        Self { scene, plain, model, backend, id, finder, seed: seed() }
     }
 
     fn camera(&self) -> Camera {
@@ -118,7 +120,7 @@ impl Searched {
         let noise = Some(Noise { sigma: 2.0, seed: 5, frame: k });
         let view = View { pose: *pose, light, occluder, blur: 0.0, noise };
         if k.is_multiple_of(2) || occlusion > 0.0 {
-            self.plain.clone().with_clutter(seed(), k).render_view(&view)
+            self.plain.clone().with_clutter(self.seed, k).render_view(&view)
         } else {
             self.plain.render_view(&view)
         }
@@ -133,7 +135,7 @@ impl Searched {
 
     /// How many of so many views end in the basin, and within a pixel, and how many with a wrong pose.
     fn count(&mut self, views: u64, occlusion: f64) -> (u64, u64, u64) {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed());
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let (mut basin, mut exact, mut wrong) = (0, 0, 0);
         let began = cpu_time::ProcessTime::now();
         for k in 0..views {
@@ -142,11 +144,8 @@ impl Searched {
             let Some(best) = self.find(&image, &Priors::default()).best else { continue };
             let px = distance_px(&self.camera(), self.vertices(), &truth, &best.camera_from_object);
             if px >= BASIN_PX {
-                // A tracker calls it certain from a correlation of 0.8 on.
-                let correlation = best.score.correlation;
-                say(format_args!(
-                    "view {k}: a pose {px:.1} px off is believed, correlation {correlation:.2}"
-                ));
+                let score = best.score;
+                say(format_args!("view {k}: a pose {px:.1} px off is believed, {score:.2?}"));
                 wrong += 1;
                 continue;
             }
@@ -219,4 +218,39 @@ fn reports_nothing_where_nothing_is_and_priors_narrow() {
     let target = Target { model: &searched.model, id: searched.id, camera: searched.camera(), image: &image };
     let refused = searched.finder.find(&mut searched.backend, &mut aligner, &target, &elsewhere);
     assert!(refused.is_err(), "no pose is left");
+}
+
+/// Two views of the half-hidden box, of a hundred, in which the search ends in a wrong pose: one face is where it says, the
+/// others are hidden in truth or by that pose. A tracker follows it, and does not call it certain.
+#[test]
+fn a_wrong_pose_of_a_hidden_box_is_not_certain() {
+    let mut searched = Searched::new(SceneKind::Box);
+    searched.seed = 101;
+    let status = |image: &GrayImage| {
+        let aligner = Box::new(InverseCompositional::default());
+        let backend = Box::new(CpuBackend::new());
+        let mut tracker =
+            Tracker::new(searched.model.clone(), searched.camera(), backend, aligner).expect("it fits");
+        tracker.search_by(SearchOptions::default()).expect("good options");
+        let tracked = tracker.track(image).expect("a frame");
+        (tracked.status, tracked.estimate)
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(searched.seed);
+    let mut wrong = 0;
+    for k in 0..=52 {
+        let truth = searched.random_pose(&mut rng);
+        let image = searched.image(k, &truth, 0.3, &mut rng);
+        if k == 8 || k == 52 {
+            let (status, estimate) = status(&image);
+            let pose = estimate.camera_from_object;
+            let px = distance_px(&searched.camera(), searched.vertices(), &truth, &pose);
+            say(format_args!("view {k}: {status:?}, {px:.1} px off, {:.2?}", estimate.score));
+            assert!(status != Status::Tracking || px < 10.0, "view {k}: {px} px off and {status:?}");
+            wrong += u32::from(px > 10.0);
+        }
+    }
+    assert!(wrong > 0, "the search does better now: find other views, or take the rule out");
+    let truth = searched.random_pose(&mut rng);
+    let whole = searched.image(53, &truth, 0.0, &mut rng);
+    assert_eq!(status(&whole).0, Status::Tracking, "in full view it is certain");
 }
