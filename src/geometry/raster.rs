@@ -1,6 +1,6 @@
 //! Which pixel centres a projected triangle covers, and which triangles of a mesh are hidden by others.
 
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector3};
 
 use super::camera::Camera;
 use super::mesh::TriangleMesh;
@@ -9,18 +9,33 @@ use super::warp::{double_area, plane};
 
 /// A surface counts as hidden when something lies in front of it by more than this share of its depth.
 const DEPTH_TOLERANCE: f64 = 0.004;
+/// Pixel centres count as on a border if their distance times the border's length is below this, pixels squared.
+const BORDER: f64 = 1e-9;
+/// How much wider than between its edges a row of a triangle is looked at, pixels: the test of every pixel decides.
+const SLACK: f64 = 1e-6;
 
 /// Calls `visit(u, v)` for every pixel centre of a `width` x `height` image inside the triangle, borders included.
 pub fn for_each_pixel(t: &[Point2<f64>; 3], width: u32, height: u32, mut visit: impl FnMut(u32, u32)) {
     let sign = double_area(t).signum();
-    let lo = t[0].inf(&t[1]).inf(&t[2]);
-    let hi = t[0].sup(&t[1]).sup(&t[2]);
-    let (Some(columns), Some(rows)) = (span(lo.x, hi.x, width), span(lo.y, hi.y, height)) else { return };
+    let (lo, hi) = (t[0].inf(&t[1]).inf(&t[2]), t[0].sup(&t[1]).sup(&t[2]));
+    let Some(rows) = span(lo.y, hi.y, height) else { return };
+    let edges = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (t[a], sign * (t[b] - t[a])));
     for v in rows {
-        for u in columns.clone() {
-            let p = Point2::new(f64::from(u), f64::from(v));
-            let inside = |a: usize, b: usize| sign * (t[b] - t[a]).perp(&(p - t[a])) >= -1e-9;
-            if inside(0, 1) && inside(1, 2) && inside(2, 0) {
+        // On a row the side of an edge is `along - edge.y (u - start.x)`.
+        let along = edges.map(|(start, edge)| edge.x * (f64::from(v) - start.y));
+        let (mut left, mut right) = (lo.x, hi.x);
+        for ((start, edge), along) in edges.iter().zip(along) {
+            let crossing = start.x + (along + BORDER) / edge.y;
+            if edge.y > 0.0 {
+                right = right.min(crossing + SLACK);
+            } else if edge.y < 0.0 {
+                left = left.max(crossing - SLACK);
+            }
+        }
+        let Some(columns) = span(left, right, width) else { continue };
+        for u in columns {
+            let side = |k: usize| along[k] - edges[k].1.y * (f64::from(u) - edges[k].0.x);
+            if side(0) >= -BORDER && side(1) >= -BORDER && side(2) >= -BORDER {
                 visit(u, v);
             }
         }
@@ -47,7 +62,8 @@ pub fn visible_shares(mesh: &TriangleMesh, camera: &Camera, pose: &Pose) -> Vec<
 #[derive(Debug, Default)]
 pub struct ZBuffer {
     projected: Vec<Option<Projected>>,
-    depth: Vec<f64>,
+    /// Inverse of the smallest depth per pixel, 0 where there is nothing.
+    nearness: Vec<f64>,
 }
 
 impl ZBuffer {
@@ -59,17 +75,17 @@ impl ZBuffer {
         pose: &Pose,
         shares: &mut Vec<f64>,
     ) {
-        let Self { projected, depth } = self;
+        let Self { projected, nearness } = self;
         projected.clear();
         projected.extend((0..mesh.triangles.len()).map(|t| Projected::new(mesh, t, camera, pose)));
         let (w, h) = (camera.width, camera.height);
-        depth.clear();
-        depth.resize(w as usize * h as usize, f64::INFINITY);
+        nearness.clear();
+        nearness.resize(w as usize * h as usize, 0.0);
         let at = |u: u32, v: u32| v as usize * w as usize + u as usize;
         for t in projected.iter().flatten() {
             for_each_pixel(&t.corners, w, h, |u, v| {
-                let z = t.depth(camera, u, v);
-                depth[at(u, v)] = depth[at(u, v)].min(z);
+                let nearest = &mut nearness[at(u, v)];
+                *nearest = nearest.max(t.nearness(u, v));
             });
         }
         // (free pixels, all pixels) of a triangle.
@@ -77,7 +93,7 @@ impl ZBuffer {
             let (mut free, mut all) = (0.0, 0.0);
             for_each_pixel(corners, w, h, |u, v| {
                 all += 1.0;
-                let is_free = t.depth(camera, u, v) * (1.0 - DEPTH_TOLERANCE) <= depth[at(u, v)];
+                let is_free = t.nearness(u, v) >= nearness[at(u, v)] * (1.0 - DEPTH_TOLERANCE);
                 free += f64::from(u8::from(is_free));
             });
             (free, all)
@@ -94,12 +110,12 @@ impl ZBuffer {
     }
 }
 
-/// A triangle that faces the camera, in the image, with its plane n.X = d in the camera frame.
+/// A triangle that faces the camera, in the image.
 #[derive(Debug)]
 struct Projected {
     corners: [Point2<f64>; 3],
-    normal: nalgebra::Vector3<f64>,
-    offset: f64,
+    /// The inverse of its depth at pixel (u, v) is the inner product with (u, v, 1), 1/m.
+    nearness: Vector3<f64>,
 }
 
 impl Projected {
@@ -114,7 +130,10 @@ impl Projected {
         for (corner, x) in corners.iter_mut().zip(&points) {
             *corner = camera.project(x)?;
         }
-        Some(Self { corners, normal, offset })
+        // The point seen through a pixel is depth times ray with n.X = offset.
+        let scaled = normal / offset;
+        let (x, y, z) = (scaled.x / camera.fx, scaled.y / camera.fy, scaled.z);
+        Some(Self { corners, nearness: Vector3::new(x, y, z - x * camera.cx - y * camera.cy) })
     }
 
     fn centroid_pixel(&self) -> Point2<f64> {
@@ -122,14 +141,8 @@ impl Projected {
         Point2::from((a.coords + b.coords + c.coords) / 3.0).map(f64::round)
     }
 
-    /// Depth of the plane seen through a pixel centre, metres.
-    fn depth(&self, camera: &Camera, u: u32, v: u32) -> f64 {
-        let ray = nalgebra::Vector3::new(
-            (f64::from(u) - camera.cx) / camera.fx,
-            (f64::from(v) - camera.cy) / camera.fy,
-            1.0,
-        );
-        self.offset / self.normal.dot(&ray)
+    fn nearness(&self, u: u32, v: u32) -> f64 {
+        self.nearness.x * f64::from(u) + (self.nearness.y * f64::from(v) + self.nearness.z)
     }
 }
 
@@ -145,7 +158,6 @@ pub fn facing(points: &[Point3<f64>; 3], pose: &Pose) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     #[test]
     fn pixels_of_a_right_triangle() {
