@@ -1,13 +1,11 @@
 //! The derivative of the residual by the pose, per triangle: from the template's gradient (inverse compositional) or
 //! from the frame's (forward additive). `docs/maths.md`, "Moments" and "Forward additive".
 
-use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector3, Vector6};
 
-use super::normal_equations::Rows;
-use super::workspace::{copy_matrix, reset_matrix};
-use crate::backend::LinearRow;
-use crate::geometry::warp::{affine, increment_jacobian};
-use crate::geometry::{Camera, Pose};
+use super::vertices::MovingVertex;
+use super::workspace::reset_matrix;
+use crate::backend::{LinearRow, SumsRow};
 use crate::model::{ChartGeometry, LevelTemplate};
 
 /// Triangles are back-facing or edge-on where det A falls below this share of its value |A|^2 / 2 for a warp that
@@ -21,29 +19,22 @@ pub(super) struct CornerMotion {
     image: Matrix6<f64>,
     /// Stack of `A^-1 D(X_a)`: pixels of the template per increment, 6x6; L_i in `docs/maths.md`.
     pub(super) template: Matrix6<f64>,
-    /// Mean of D^T D.
-    pub(super) metric: Matrix6<f64>,
 }
 
 impl CornerMotion {
-    /// Motion with an increment on the right about `centre`; `None` if back-facing, edge-on or behind the camera.
-    pub(super) fn new(camera: &Camera, pose: &Pose, g: &ChartGeometry, centre: &Point3<f64>) -> Option<Self> {
-        let mut projected = g.corners;
-        for (p, x) in projected.iter_mut().zip(&g.points) {
-            *p = camera.project(&pose.transform_point(x))?;
-        }
-        let a: Matrix2<f64> = affine(&g.corners, &projected)?.fixed_view::<2, 2>(0, 0).into_owned();
+    /// Motion of the corners of a triangle with their chart; `None` if it is back-facing or edge-on.
+    pub(super) fn new(corners: [&MovingVertex; 3], g: &ChartGeometry) -> Option<Self> {
+        let projected = Matrix2x3::from_columns(&corners.map(|c| c.image.coords));
+        let a: Matrix2<f64> = projected * g.barycentric.fixed_columns::<2>(0);
         if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
             return None;
         }
         let inverse = a.try_inverse()?;
         let zero = Matrix6::zeros();
-        let mut motion = Self { image: zero, template: zero, metric: zero };
-        for (k, x) in g.points.iter().enumerate() {
-            let d = increment_jacobian(camera, pose, x, centre);
-            motion.image.fixed_view_mut::<2, 6>(2 * k, 0).copy_from(&d);
-            motion.template.fixed_view_mut::<2, 6>(2 * k, 0).copy_from(&(inverse * d));
-            motion.metric += d.transpose() * d / 3.0;
+        let mut motion = Self { image: zero, template: zero };
+        for (k, corner) in corners.iter().enumerate() {
+            motion.image.fixed_view_mut::<2, 6>(2 * k, 0).copy_from(&corner.motion);
+            motion.template.fixed_view_mut::<2, 6>(2 * k, 0).copy_from(&(inverse * corner.motion));
         }
         Some(motion)
     }
@@ -88,53 +79,48 @@ pub(super) enum Derivative<'a> {
 
 /// What one triangle contributes: dr/dd = f^T `motion` with the moments of f over its pixels inside the image.
 #[derive(Debug, Clone)]
-pub(super) struct TrianglePart {
+pub(super) struct TrianglePart<'p> {
     pub(super) motion: Matrix6<f64>,
     /// sum q f f^T.
     pub(super) hessian: Matrix6<f64>,
-    /// sum q f A^T, appearance columns in the order of [`crate::model::moments`].
-    pub(super) cross: DMatrix<f64>,
+    /// sum q f A^T is `share` times this; appearance columns in the order of [`crate::model::moments`].
+    pub(super) cross: &'p DMatrix<f64>,
+    pub(super) share: f64,
     /// sum q r f.
     pub(super) gradient: Vector6<f64>,
 }
 
-impl Default for TrianglePart {
-    fn default() -> Self {
-        let zero = Matrix6::zeros();
-        Self { motion: zero, hessian: zero, cross: DMatrix::zeros(6, 0), gradient: Vector6::zeros() }
-    }
-}
-
 impl Derivative<'_> {
-    /// Writes the part of a triangle; `gain` is that of its group.
-    pub(super) fn of_triangle(
+    /// The part of a triangle of which a share `inside` is in the image; `gain` is that of its group, `memory` is for the
+    /// cross moments where they are not the template's.
+    pub(super) fn of_triangle<'p>(
         &self,
-        level: &LevelTemplate,
+        level: &'p LevelTemplate,
         (triangle, geometry): (usize, &ChartGeometry),
-        rows: &Rows<'_>,
+        (row, inside): (SumsRow<'_>, f64),
         corners: &CornerMotion,
         gain: f64,
-        part: &mut TrianglePart,
-    ) {
+        memory: &'p mut DMatrix<f64>,
+    ) -> TrianglePart<'p> {
         let moments = &level.moments[triangle];
-        part.gradient = barycentric_gradient(rows.row(triangle).gradient(), geometry);
+        let gradient = barycentric_gradient(row.gradient(), geometry);
         match self {
-            Self::Template => {
-                let inside = rows.inside(level, triangle);
-                // The template's gradient follows its gain.
-                part.motion = corners.template * (1.0 + gain);
-                part.hessian = moments.hessian * inside;
-                copy_matrix(&mut part.cross, &moments.cross);
-                part.cross *= inside;
-            }
+            // The template's gradient follows its gain.
+            Self::Template => TrianglePart {
+                motion: corners.template * (1.0 + gain),
+                hessian: moments.hessian * inside,
+                cross: &moments.cross,
+                share: inside,
+                gradient,
+            },
             Self::Frame(seconds) => {
                 let row = LinearRow(&seconds.data[triangle * seconds.row_len..][..seconds.row_len]);
-                part.motion = -corners.image;
-                part.hessian = barycentric_hessian(row.hessian(), geometry);
-                reset_matrix(&mut part.cross, 6, moments.cross.ncols());
-                for (k, mut column) in part.cross.column_iter_mut().enumerate() {
+                reset_matrix(memory, 6, moments.cross.ncols());
+                for (k, mut column) in memory.column_iter_mut().enumerate() {
                     column.copy_from(&barycentric_gradient(row.cross(k), geometry));
                 }
+                let hessian = barycentric_hessian(row.hessian(), geometry);
+                TrianglePart { motion: -corners.image, hessian, cross: memory, share: 1.0, gradient }
             }
         }
     }

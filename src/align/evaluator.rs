@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix2x3, Matrix3};
 
 use super::covariance::covariance;
 use super::derivative::SecondRows;
@@ -15,7 +15,7 @@ use crate::backend::{Backend, Linearization, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::geometry::raster::{ZBuffer, facing};
-use crate::geometry::warp::{affine, homography};
+use crate::geometry::warp::projection;
 use crate::model::{Grouping, Model};
 
 /// Triangles seen more obliquely than this cosine are left out.
@@ -147,7 +147,7 @@ pub(super) fn look_at(target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer, v
     zbuffer.visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose, visibility);
     for (t, share) in visibility.iter_mut().enumerate() {
         let is_seen = *share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        *share = if is_seen && aspect(target, pose, t) >= MIN_ASPECT { *share } else { 0.0 };
+        *share = if is_seen && is_open(target, pose, t) { *share } else { 0.0 };
     }
 }
 
@@ -161,21 +161,20 @@ pub(super) struct Evaluation {
     pub(super) spent_ms: f64,
 }
 
-/// Scale of the warp from a triangle's chart to the image in its worst direction, in units of that in its best one (0..1);
-/// 0 without a chart or behind the camera.
-fn aspect(target: &Target<'_>, pose: &Pose, triangle: usize) -> f64 {
+/// Does the image show a triangle less compressed than [`MIN_ASPECT`] says? False without a chart or
+/// behind the camera.
+fn is_open(target: &Target<'_>, pose: &Pose, triangle: usize) -> bool {
     let affine = || {
         let geometry = target.model.levels[0].geometry[triangle].as_ref()?;
-        let mut projected = geometry.corners;
-        for (corner, x) in projected.iter_mut().zip(&geometry.points) {
-            *corner = target.camera.project(&pose.transform_point(x))?;
+        let mut projected = Matrix2x3::zeros();
+        for (mut corner, x) in projected.column_iter_mut().zip(&geometry.points) {
+            corner.copy_from(&target.camera.project(&pose.transform_point(x))?.coords);
         }
-        affine(&geometry.corners, &projected)
+        Some(projected * geometry.barycentric.fixed_columns::<2>(0))
     };
-    affine().map_or(0.0, |a| {
-        let scales = a.fixed_view::<2, 2>(0, 0).singular_values();
-        scales.min() / scales.max()
-    })
+    // With singular values s1 >= s2: |det A| = s1 s2 and |A|^2 = s1^2 + s2^2, and s1 s2 / (s1^2 + s2^2) grows with s2 / s1.
+    let least = MIN_ASPECT / (1.0 + MIN_ASPECT * MIN_ASPECT);
+    affine().is_some_and(|a| a.determinant().abs() >= least * a.norm_squared())
 }
 
 /// Runs the stages for many states of one level, with the perspective-exact warp.
@@ -232,11 +231,12 @@ impl<'a> Evaluator<'a> {
         let mut items = 0;
         for (state, visibility) in states {
             items += 1;
+            let projection = projection(&self.problem.camera, &state.pose);
             appearance.extend(state.appearance.iter().copied().map(narrow));
             for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
                 let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
                 warps.push(geometry.map_or(IDLE, |g| TriangleWarp {
-                    image_from_chart: homography(&self.problem.camera, &state.pose, &g.object_from_chart),
+                    image_from_chart: projection * g.object_from_chart,
                     active: true,
                 }));
             }

@@ -33,7 +33,7 @@ impl Default for ForwardOptions {
     fn default() -> Self {
         Self {
             max_iterations: 20,
-            stop_px: vec![0.01, 0.02, 0.05],
+            stop_px: vec![0.015, 0.05, 0.1],
             robust: true,
             full_size_grouping: Grouping::Triangle,
         }
@@ -88,7 +88,7 @@ impl Descent {
         };
         let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
         // The derivative has its sign: r changes by -J d, so the increment itself goes to the right.
-        state.pose = state.pose.compose(&Pose::increment(&motion, &problem.centre));
+        state.pose = state.pose.compose(&Pose::increment(&motion, &problem.shape.centre));
         state.appearance.iter_mut().zip(step.iter().skip(6)).for_each(|(a, d)| *a += d);
         self.iterations += 1;
         let moved = motion.dot(&(equations.displacement * motion)).max(0.0).sqrt();

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::evaluator::{Evaluator, check, look_at, ms_since, tracked_levels};
+use super::evaluator::{Evaluator, check, ms_since, tracked_levels};
 use super::levenberg_marquardt::Settings;
 use super::normal_equations::LevelProblem;
 use super::robust::Redescent;
@@ -36,7 +36,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             max_iterations: 20,
-            stop_px: vec![0.01, 0.02, 0.05],
+            stop_px: vec![0.015, 0.05, 0.1],
             damping: 1e-3,
             robust: true,
             full_size_grouping: Grouping::Triangle,
@@ -159,7 +159,7 @@ impl InverseCompositional {
         let Workspace { descents, evaluation, zbuffer, scratch, times } = work;
         let began = Instant::now();
         for descent in descents.iter_mut() {
-            look_at(target, &descent.steps.state.pose, zbuffer, &mut descent.look.visibility);
+            descent.look.see(target, &descent.steps.state.pose, zbuffer);
         }
         times.visibility_ms += ms_since(began);
         let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);

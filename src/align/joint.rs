@@ -6,7 +6,7 @@ use std::time::Instant;
 use nalgebra::Matrix6;
 
 use super::covariance::covariance;
-use super::evaluator::{Evaluation, Evaluator, check, look_at, ms_since, score, tracked_levels};
+use super::evaluator::{Evaluation, Evaluator, check, ms_since, score, tracked_levels};
 use super::inverse_compositional::{COARSEST_ROBUST, InverseCompositional};
 use super::levenberg_marquardt::{Look, Settings, State, Steps};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
@@ -107,14 +107,14 @@ impl Joint {
         let began = Instant::now();
         for (eye, look) in eyes.iter().zip(&mut self.looks) {
             let pose = eye.camera_from_reference.compose(&self.steps.state.pose);
-            look_at(&eye.target, &pose, &mut work.zbuffer, &mut look.visibility);
+            look.see(&eye.target, &pose, &mut work.zbuffer);
         }
         work.times.visibility_ms += ms_since(began);
         let state = self.steps.state.clone();
         self.evaluate(eyes, &problems, &state, &mut work.evaluation)?;
         self.look(eyes, &problems, settings, work);
         loop {
-            let centre = problems[0].centre;
+            let centre = problems[0].shape.centre;
             self.steps.propose(&self.equations, &centre, settings, &mut work.scratch.solver);
             let Some(state) = self.steps.proposed().cloned() else { return Ok(()) };
             self.evaluate(eyes, &problems, &state, &mut work.evaluation)?;

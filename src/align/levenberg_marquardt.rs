@@ -2,15 +2,23 @@
 
 use nalgebra::{DVector, Point3, Vector6};
 
+use super::Target;
 use super::derivative::Derivative;
-use super::evaluator::End;
+use super::evaluator::{End, look_at};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::robust::{Redescent, triangle_weights};
 use super::workspace::{Scratch, Solver, reset_vector};
 use crate::geometry::Pose;
+use crate::geometry::distance::rms_px;
+use crate::geometry::raster::ZBuffer;
 
 /// Largest damping before a descent gives up.
 const MAX_DAMPING: f64 = 1e8;
+/// Damping after a refused step at least: smaller ones hardly change the step.
+const NOTICEABLE_DAMPING: f64 = 0.1;
+
+/// What is visible is not judged anew where the corners of the object have moved by less (rms, pixels of full size).
+const SAME_VIEW_PX: f64 = 2.0;
 
 /// Choices that hold for all descents of a level.
 #[derive(Debug, Clone, Copy)]
@@ -124,7 +132,7 @@ impl Steps {
             std::mem::swap(&mut self.state, &mut self.candidate);
             self.damping /= 10.0;
         } else {
-            self.damping *= 10.0;
+            self.damping = (self.damping * 10.0).max(NOTICEABLE_DAMPING);
             if self.damping > MAX_DAMPING {
                 self.stop = Some(Stop::Exhausted);
             }
@@ -137,13 +145,31 @@ impl Steps {
 pub(super) struct Look {
     /// Sums at the state.
     pub(super) rows: Vec<f64>,
-    /// Share of each triangle that nothing hides, at the start of the level.
+    /// Share of each triangle that nothing hides, as [`Self::see`] judged it last.
     pub(super) visibility: Vec<f64>,
+    /// The pose at which it did, if it did in this frame.
+    seen_from: Option<Pose>,
     pub(super) weights: Vec<f64>,
     pub(super) equations: NormalEquations,
 }
 
 impl Look {
+    /// A new frame: nothing is known of what is visible.
+    pub(super) fn begin(&mut self) {
+        self.seen_from = None;
+    }
+
+    /// Judges what is visible at the pose where a level starts, unless it is where that was judged before.
+    pub(super) fn see(&mut self, target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer) {
+        let corners = &target.model.shape.corners;
+        let moved = |from: &Pose| rms_px(&target.camera, corners, from, pose);
+        if self.seen_from.as_ref().and_then(moved).is_some_and(|px| px < SAME_VIEW_PX) {
+            return;
+        }
+        look_at(target, pose, zbuffer, &mut self.visibility);
+        self.seen_from = Some(*pose);
+    }
+
     /// Weights and equations at a state, whose sums and visibility are known.
     pub(super) fn take(
         &mut self,
@@ -189,7 +215,7 @@ impl Descent {
     }
 
     pub(super) fn propose(&mut self, problem: &LevelProblem<'_>, settings: &Settings, solver: &mut Solver) {
-        self.steps.propose(&self.look.equations, &problem.centre, settings, solver);
+        self.steps.propose(&self.look.equations, &problem.shape.centre, settings, solver);
     }
 
     /// Accepts the proposed state if it lowers the cost with the same triangle weights.

@@ -16,6 +16,7 @@ mod photometric;
 mod robust;
 mod score;
 mod search;
+mod vertices;
 mod workspace;
 
 use image::GrayImage;

@@ -1,6 +1,6 @@
 //! JtQJ, JtQr and the cost at a pose, from triangle sums and moments (`docs/maths.md`, "Moments").
 
-use nalgebra::{DMatrix, DVector, DVectorView, Matrix6, Point3};
+use nalgebra::{DMatrix, DVector, DVectorView, Matrix6};
 
 use super::Target;
 use super::contribution::Contribution;
@@ -11,7 +11,7 @@ use super::workspace::{Scratch, Solver, factor, reset_matrix, reset_vector};
 use crate::backend::SumsRow;
 use crate::geometry::Camera;
 use crate::model::moments::FIRST_MODE;
-use crate::model::{Grouping, Groups, LevelTemplate};
+use crate::model::{Grouping, Groups, LevelTemplate, Shape};
 
 /// What stays the same while a level is aligned.
 #[derive(Debug)]
@@ -24,8 +24,8 @@ pub(super) struct LevelProblem<'a> {
     /// Camera at the level of the image.
     pub(super) camera: Camera,
     pub(super) groups: &'a Groups,
-    /// Centre of rotation, object frame.
-    pub(super) centre: Point3<f64>,
+    /// The mesh, and the centre of rotation.
+    pub(super) shape: &'a Shape,
 }
 
 impl<'a> LevelProblem<'a> {
@@ -51,7 +51,7 @@ impl<'a> LevelProblem<'a> {
             image_level,
             camera: target.camera.at_level(image_level),
             groups: template.groups(grouping),
-            centre: target.model.shape.centre,
+            shape: &target.model.shape,
         }
     }
 }
@@ -121,32 +121,31 @@ impl NormalEquations {
         derivative: Derivative<'_>,
         scratch: &mut Scratch,
     ) {
-        let (level, groups) = (problem.level, problem.groups);
-        let Scratch { solutions, couplings, part, column, .. } = scratch;
+        let (level, groups, mesh) = (problem.level, problem.groups, &problem.shape.mesh);
+        let Scratch { solutions, couplings, vertices, cross, column, .. } = scratch;
         photometric::solve(groups, level, rows, s, solutions);
         self.start_from_prior(&state.appearance);
         couplings.reset(groups.len(), self.gradient.len());
+        vertices.place(&problem.camera, &state.pose, mesh, &problem.shape.centre);
         for (t, geometry) in level.geometry.iter().enumerate().filter(|(t, _)| s[*t] > 0.0) {
-            let Some(geometry) = geometry else { continue };
-            let Some(corners) = CornerMotion::new(&problem.camera, &state.pose, geometry, &problem.centre)
-            else {
+            let (Some(geometry), Some(corners)) = (geometry, vertices.corners(&mesh.triangles[t])) else {
                 continue;
             };
-            let group = groups.of_triangle[t];
-            derivative.of_triangle(level, (t, geometry), rows, &corners, solutions[group].value.x, part);
-            let here = Contribution { level, triangle: t, rows: *rows, s: s[t], part };
+            let Some(corners) = CornerMotion::new(corners, geometry) else { continue };
+            let (group, seen) = (groups.of_triangle[t], (rows.row(t), rows.inside(level, t)));
+            let gain = solutions[group].value.x;
+            let part = derivative.of_triangle(level, (t, geometry), seen, &corners, gain, cross);
+            let here = Contribution { level, triangle: t, rows: *rows, s: s[t], inside: seen.1, part: &part };
             self.add_triangle(&here);
             self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
             here.couple(couplings.of(group), groups.centre[group]);
-            self.displacement += corners.metric;
+            vertices.use_triangle(&mesh.triangles[t]);
             self.triangles += 1;
         }
         for (group, columns) in couplings.iter() {
             self.eliminate(columns, &solutions[group]);
         }
-        #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
-        let active = self.triangles.max(1) as f64;
-        self.displacement /= active;
+        self.displacement = vertices.displacement();
         (self.cost, self.weight) = mean_cost(rows, s, solutions, &state.appearance);
     }
 
@@ -180,16 +179,16 @@ impl NormalEquations {
     }
 
     fn add_triangle(&mut self, here: &Contribution<'_>) {
-        let TrianglePart { motion, hessian, cross, gradient } = here.part;
-        let transposed = here.s * motion.transpose();
+        let TrianglePart { motion, cross, share: of_cross, gradient, .. } = here.part;
         let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
-        pose += transposed * hessian * motion;
+        pose += here.pose_hessian();
         let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
-        pose_gradient += transposed * gradient;
-        let (row, share) = (here.row(), here.s * here.inside());
+        pose_gradient += motion.tr_mul(gradient) * here.s;
+        let (row, share) = (here.row(), here.s * here.inside);
         let appearance = &here.moments().appearance;
         for k in 0..self.gradient.len() - 6 {
-            let column = transposed * cross.fixed_view::<6, 1>(0, FIRST_MODE + k);
+            let with_pose = cross.fixed_view::<6, 1>(0, FIRST_MODE + k) * (here.s * of_cross);
+            let column = motion.tr_mul(&with_pose);
             let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
             upper += column;
             let mut lower = self.hessian.fixed_view_mut::<1, 6>(6 + k, 0);
@@ -212,13 +211,13 @@ impl NormalEquations {
         column: &mut Vec<f64>,
     ) {
         let n = self.gradient.len();
-        let (part, appearance, inside) = (here.part, &here.moments().appearance, here.inside());
+        let (part, appearance, inside) = (here.part, &here.moments().appearance, here.inside);
         let mut v = part.gradient;
         for (column, factor) in gain_and_bias {
-            v += factor * part.cross.fixed_view::<6, 1>(0, column);
+            v += (factor * part.share) * part.cross.fixed_view::<6, 1>(0, column);
         }
         column.clear();
-        column.extend(&(here.s * part.motion.transpose() * v));
+        column.extend(&(part.motion.tr_mul(&v) * here.s));
         for k in 0..n - 6 {
             let photometric: f64 =
                 gain_and_bias.iter().map(|(c, f)| f * inside * appearance[(FIRST_MODE + k, *c)]).sum();

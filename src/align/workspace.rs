@@ -4,10 +4,10 @@ use std::time::Instant;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::derivative::TrianglePart;
 use super::evaluator::{Evaluation, finish, ms_since};
 use super::levenberg_marquardt::Descent;
 use super::photometric::Solution;
+use super::vertices::Vertices;
 use super::{AlignTimes, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
@@ -30,6 +30,7 @@ impl Workspace {
         self.descents.resize_with(starts.len(), Descent::default);
         for (descent, start) in self.descents.iter_mut().zip(starts) {
             descent.steps.start_at(start.camera_from_object.renormalised(), &start.appearance);
+            descent.look.begin();
         }
     }
 
@@ -64,7 +65,9 @@ pub(super) struct Scratch {
     /// Values to take a median of.
     pub(super) values: Vec<f64>,
     pub(super) couplings: Couplings,
-    pub(super) part: TrianglePart,
+    pub(super) vertices: Vertices,
+    /// Cross moments of a triangle, where they are not the template's.
+    pub(super) cross: DMatrix<f64>,
     /// One number per parameter: a triangle's part in the gradient.
     pub(super) column: Vec<f64>,
     pub(super) solver: Solver,

@@ -3,7 +3,7 @@
 //! Two warps exist: the paper's [`affine`] of eq. (3), and the perspective-exact 3x3 `K [R|t] M`
 //! with `M` of [`object_from_chart`]. `docs/maths.md` derives both.
 
-use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix4x3, Point2, Point3, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x4, Matrix4x3, Point2, Point3, Vector3};
 
 use super::camera::Camera;
 use super::pose::{Pose, skew};
@@ -54,8 +54,12 @@ pub fn object_from_chart(camera: &Camera, view: &Pose, plane: (Vector3<f64>, f64
 
 /// The perspective-exact warp `K [R|t] M`: chart pixel to homogeneous image position.
 pub fn homography(camera: &Camera, pose: &Pose, object_from_chart: &Matrix4x3<f64>) -> Matrix3<f64> {
-    let projection = camera.matrix() * pose.matrix().fixed_view::<3, 4>(0, 0);
-    projection * object_from_chart
+    projection(camera, pose) * object_from_chart
+}
+
+/// `K [R|t]` (3x4): homogeneous object point to homogeneous image position.
+pub fn projection(camera: &Camera, pose: &Pose) -> Matrix3x4<f64> {
+    camera.matrix() * pose.matrix().fixed_view::<3, 4>(0, 0)
 }
 
 /// Applies a 3x3 warp to a pixel; `None` at or behind the camera plane.
@@ -81,10 +85,21 @@ pub fn increment_jacobian(
     x: &Point3<f64>,
     centre: &Point3<f64>,
 ) -> Matrix2x6<f64> {
-    let moved = camera.project_jacobian(&pose.transform_point(x)) * pose.rotation();
+    increment_jacobian_at(camera, &pose.transform_point(x), &pose.rotation(), &(x - centre))
+}
+
+/// [`increment_jacobian`] of a point that is at `in_camera` in the camera frame and at `arm` from the centre of the
+/// increment in the object frame, with the rotation matrix of the pose.
+pub fn increment_jacobian_at(
+    camera: &Camera,
+    in_camera: &Point3<f64>,
+    rotation: &Matrix3<f64>,
+    arm: &Vector3<f64>,
+) -> Matrix2x6<f64> {
+    let moved = camera.project_jacobian(in_camera) * rotation;
     let mut d = Matrix2x6::zeros();
     d.fixed_view_mut::<2, 3>(0, 0).copy_from(&moved);
-    d.fixed_view_mut::<2, 3>(0, 3).copy_from(&(-moved * skew(&(x - centre))));
+    d.fixed_view_mut::<2, 3>(0, 3).copy_from(&(-moved * skew(arm)));
     d
 }
 

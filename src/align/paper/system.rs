@@ -1,10 +1,12 @@
 //! What the paper computes before the first frame: the reference, J as moments, JtQJ and Sigma.
 
-use nalgebra::{DMatrix, DVector, Matrix6, Point3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Point3};
 
 use crate::align::derivative::{CornerMotion, barycentric_gradient};
 use crate::align::normal_equations::Rows;
+use crate::align::vertices::MovingVertex;
 use crate::error::{Error, Result};
+use crate::geometry::Pose;
 use crate::model::moments::FIRST_MODE;
 use crate::model::{ChartGeometry, LevelTemplate, Model, View};
 
@@ -57,10 +59,12 @@ impl Reference {
 /// L_i at H = I: motion of the corners with an increment about the origin of the reference camera. The affine warp's
 /// derivative, eq. (15) times da/dp, is this motion interpolated with barycentric coordinates: no approximation here.
 fn motion(view: &View, geometry: &ChartGeometry) -> Option<Matrix6<f64>> {
-    let to_camera = |x: &Point3<f64>| view.camera_from_object.transform_point(x);
-    let in_camera = ChartGeometry { points: geometry.points.map(|x| to_camera(&x)), ..geometry.clone() };
-    let identity = crate::geometry::Pose::identity();
-    CornerMotion::new(&view.camera, &identity, &in_camera, &Point3::origin()).map(|c| c.template)
+    let (still, rotation) = (Pose::identity(), Matrix3::identity());
+    let [a, b, c] = geometry.points.map(|x| {
+        let in_camera = view.camera_from_object.transform_point(&x);
+        MovingVertex::new(&view.camera, &still, &rotation, &in_camera, &Point3::origin())
+    });
+    CornerMotion::new([&a?, &b?, &c?], geometry).map(|c| c.template)
 }
 
 /// JtQJ and Sigma of eq. (18).
