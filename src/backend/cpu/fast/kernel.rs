@@ -3,6 +3,7 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::BLOCK;
+use super::locate::{locate, locate_inside};
 use super::pairs::Pairs;
 use super::template::Block;
 use crate::backend::local::LocalWarp;
@@ -11,13 +12,13 @@ use crate::backend::local::LocalWarp;
 #[derive(Debug)]
 pub(super) struct Scratch {
     /// Index of the pixel at the upper left of the warped position; 0 outside.
-    index: [u32; BLOCK],
+    pub(super) index: [u32; BLOCK],
     /// The four pixels around the warped position.
-    quad: [i32; BLOCK],
+    quad: [u32; BLOCK],
     /// Where between them it lies.
-    fraction: [[f32; BLOCK]; 2],
+    pub(super) fraction: [[f32; BLOCK]; 2],
     /// 1 inside the image, 0 outside and for padding.
-    inside: [f32; BLOCK],
+    pub(super) inside: [f32; BLOCK],
     /// T0 + sum lambda_k T_k.
     template: [f32; BLOCK],
     /// q r.
@@ -37,9 +38,10 @@ impl Default for Scratch {
     }
 }
 
-/// Adds the sums of a block to a row, gradients relative to the chart's centre.
+/// Adds the sums of a block to a row, gradients relative to the chart's centre. With `INSIDE` all of the chart is inside the
+/// image, and the two sums that then depend on the template alone are left to the caller.
 #[inline(always)]
-pub(super) fn add_block<S: Simd>(
+pub(super) fn add_block<S: Simd, const INSIDE: bool>(
     simd: S,
     block: &Block<'_>,
     warp: &LocalWarp,
@@ -48,55 +50,23 @@ pub(super) fn add_block<S: Simd>(
     scratch: &mut Scratch,
     row: &mut [f64],
 ) {
-    locate(simd, block, warp, image, scratch);
-    for (quad, index) in scratch.quad.iter_mut().zip(&scratch.index[..block.positions.len()]) {
-        *quad = image.quad(*index).cast_signed();
+    if INSIDE {
+        locate_inside(simd, block, warp, image, scratch);
+    } else {
+        locate(simd, block, warp, image, scratch);
     }
+    let n = block.positions.len();
+    image.quads(&scratch.index[..n], &mut scratch.quad[..n]);
     blend(simd, block, appearance, scratch);
     let (first, modes) = row.split_at_mut(11);
-    sum_texels(simd, block, appearance.is_empty(), scratch, first);
+    sum_texels::<S, INSIDE>(simd, block, appearance.is_empty(), scratch, first);
     project(simd, block, scratch, modes);
-}
-
-/// Warped positions, eq. (3).
-#[inline(always)]
-fn locate<S: Simd>(simd: S, block: &Block<'_>, warp: &LocalWarp, image: &Pairs, scratch: &mut Scratch) {
-    let [row_u, row_v, row_w] = warp.rows;
-    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
-    let [base_u, base_v] = splat(simd, warp.base);
-    #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
-    let [last_u, last_v] = splat(simd, [image.width as f32 - 1.0, image.height as f32 - 1.0]);
-    let stride = S::i32s::splat(simd, image.width.cast_signed());
-    let [zero, one, outside] = splat(simd, [0.0, 1.0, -1.0]);
-    for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
-        let at = i..i + S::f32s::LEN;
-        let [u, v] = unpack(simd, &block.positions[at.clone()]);
-        let depth = apply(row_w, u, v);
-        let inverse = one / depth;
-        let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
-        let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
-        let (pixel_u, pixel_v) = (corner_u + base_u, corner_v + base_v);
-        // Positive range tests, so that NaN is outside, chained by their operands: combining masks is not inlined
-        // without optimisation across crates.
-        let from_left = depth.simd_gt(zero).select(pixel_u, outside);
-        let from_right = from_left.simd_ge(zero).select(last_u - pixel_u, outside);
-        let from_top = from_right.simd_gt(zero).select(pixel_v, outside);
-        let inside = from_top.simd_ge(zero).select(last_v - pixel_v, outside).simd_gt(zero);
-        let row: S::i32s = inside.select(pixel_v, zero).to_int();
-        let column: S::i32s = inside.select(pixel_u, zero).to_int();
-        let index: S::u32s = (row * stride + column).bitcast();
-        index.store_slice(&mut scratch.index[at.clone()]);
-        inside.select(local_u - corner_u, zero).store_slice(&mut scratch.fraction[0][at.clone()]);
-        inside.select(local_v - corner_v, zero).store_slice(&mut scratch.fraction[1][at.clone()]);
-        inside.select(one, zero).store_slice(&mut scratch.inside[at]);
-    }
-    scratch.inside[block.pixels..block.positions.len()].fill(0.0);
 }
 
 // Loops instead of `map`: without optimisation across crates `map` is not inlined, and vectors go through memory.
 
 #[inline(always)]
-fn splat<S: Simd, const N: usize>(simd: S, values: [f32; N]) -> [S::f32s; N] {
+pub(super) fn splat<S: Simd, const N: usize>(simd: S, values: [f32; N]) -> [S::f32s; N] {
     let mut vectors = [S::f32s::splat(simd, 0.0); N];
     for k in 0..N {
         vectors[k] = S::f32s::splat(simd, values[k]);
@@ -104,14 +74,8 @@ fn splat<S: Simd, const N: usize>(simd: S, values: [f32; N]) -> [S::f32s; N] {
     vectors
 }
 
-/// A row of a warp times (u, v, 1).
 #[inline(always)]
-fn apply<S: Simd, V: SimdFloat<S>>(row: [V; 3], u: V, v: V) -> V {
-    row[0].mul_add(u, row[1].mul_add(v, row[2]))
-}
-
-#[inline(always)]
-fn unpack<S: Simd>(simd: S, positions: &[i32]) -> [S::f32s; 2] {
+pub(super) fn unpack<S: Simd>(simd: S, positions: &[i32]) -> [S::f32s; 2] {
     let packed = S::i32s::from_slice(simd, positions);
     [((packed << 16) >> 16).to_float(), (packed >> 16).to_float()]
 }
@@ -164,9 +128,15 @@ fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
     columns
 }
 
-/// Residuals, eq. (17), and the eleven sums that do not depend on the modes.
+/// Residuals, eq. (17), and the sums that do not depend on the modes.
 #[inline(always)]
-fn sum_texels<S: Simd>(simd: S, block: &Block<'_>, is_mean: bool, scratch: &mut Scratch, row: &mut [f64]) {
+fn sum_texels<S: Simd, const INSIDE: bool>(
+    simd: S,
+    block: &Block<'_>,
+    is_mean: bool,
+    scratch: &mut Scratch,
+    row: &mut [f64],
+) {
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
@@ -175,9 +145,15 @@ fn sum_texels<S: Simd>(simd: S, block: &Block<'_>, is_mean: bool, scratch: &mut 
         let intensity = load(simd, block.texels[2], &at);
         let weight = load(simd, block.texels[3], &at);
         let template = if is_mean { intensity } else { load(simd, &scratch.template, &at) };
-        let inside = load(simd, &scratch.inside, &at);
         let residual = template - sample(simd, scratch, at.clone());
-        let q = weight * inside;
+        // The weight of padding is zero.
+        let mut q = weight;
+        if !INSIDE {
+            let inside = load(simd, &scratch.inside, &at);
+            q *= inside;
+            sums[7] += q;
+            sums[8] += inside;
+        }
         let qr = q * residual;
         qr.store_slice(&mut scratch.weighted[at.clone()]);
         let [u, v] = unpack(simd, &block.positions[at]);
@@ -189,8 +165,6 @@ fn sum_texels<S: Simd>(simd: S, block: &Block<'_>, is_mean: bool, scratch: &mut 
         sums[4] = along_v.mul_add(v, sums[4]);
         sums[5] += along_v;
         sums[6] = qr.mul_add(residual, sums[6]);
-        sums[7] += q;
-        sums[8] += inside;
         sums[9] = qr.mul_add(intensity, sums[9]);
         sums[10] += qr;
     }
@@ -207,7 +181,8 @@ fn load<S: Simd>(simd: S, values: &[f32], at: &std::ops::Range<usize>) -> S::f32
 /// Grey values between the four pixels, bilinear.
 #[inline(always)]
 fn sample<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> S::f32s {
-    let quad = S::i32s::from_slice(simd, &scratch.quad[at.clone()]);
+    let quad = S::u32s::from_slice(simd, &scratch.quad[at.clone()]);
+    let quad: S::i32s = quad.bitcast();
     let (fu, fv) = (load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at));
     let upper_left: S::f32s = (quad & 255).to_float();
     let lower_left: S::f32s = ((quad >> 8) & 255).to_float();

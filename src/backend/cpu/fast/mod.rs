@@ -5,6 +5,7 @@
 //! the same input gives the same bytes however many threads there are.
 
 mod kernel;
+mod locate;
 mod pairs;
 mod scan;
 mod template;
@@ -16,6 +17,8 @@ pub(in crate::backend) use scan::FastScanner;
 pub(super) use template::FastLevel;
 
 use kernel::Scratch;
+use locate::is_inside;
+use template::Triangle;
 
 use super::Instructions;
 use crate::backend::local::{LocalWarp, to_origin};
@@ -79,25 +82,37 @@ pub(super) fn accumulate(
             let local = LocalWarp::new(warp, triangle.centre);
             let appearance = &request.appearance[item * modes..][..modes];
             let row = &mut tile.rows[(k * tile.triangles.len() + i) * row_len..][..row_len];
-            dispatch!(level, simd => add_triangle(simd, template, t, &local, appearance, image, &mut scratch, row));
+            let call = Call { template, triangle, warp: &local, appearance, image };
+            if is_inside(&local, triangle.reach, image) {
+                dispatch!(level, simd => add_triangle::<_, true>(simd, &call, &mut scratch, row));
+                row[7] += triangle.weight;
+                row[8] += triangle.count();
+            } else {
+                dispatch!(level, simd => add_triangle::<_, false>(simd, &call, &mut scratch, row));
+            }
             to_origin(&mut row[..6], triangle.centre);
         }
     }
 }
 
+/// One triangle at one pose.
+struct Call<'a> {
+    template: &'a FastLevel,
+    triangle: &'a Triangle,
+    warp: &'a LocalWarp,
+    appearance: &'a [f32],
+    image: &'a Pairs,
+}
+
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "one call, inlined")]
-fn add_triangle<S: Simd>(
+fn add_triangle<S: Simd, const INSIDE: bool>(
     simd: S,
-    template: &FastLevel,
-    triangle: usize,
-    warp: &LocalWarp,
-    appearance: &[f32],
-    image: &Pairs,
+    call: &Call<'_>,
     scratch: &mut Scratch,
     row: &mut [f64],
 ) {
-    for block in template.blocks(&template.triangles[triangle]) {
-        kernel::add_block(simd, &block, warp, appearance, image, scratch, row);
+    let Call { template, triangle, warp, appearance, image } = call;
+    for block in template.blocks(triangle) {
+        kernel::add_block::<S, INSIDE>(simd, &block, warp, appearance, image, scratch, row);
     }
 }

@@ -24,13 +24,18 @@ impl Pairs {
         }
     }
 
-    /// Bytes (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1) from the lowest on; 0 outside.
+    /// For every index of a pixel (x, y) the bytes (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1) from the lowest on; 0
+    /// outside.
     #[inline(always)]
-    pub(super) fn quad(&self, index: u32) -> u32 {
-        let at = 2 * index as usize;
-        match self.bytes.get(at..at + 4) {
-            Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
-            _ => 0,
+    pub(super) fn quads(&self, indices: &[u32], quads: &mut [u32]) {
+        // A local slice: otherwise its length is read again after every write.
+        let bytes = self.bytes.as_slice();
+        for (quad, index) in quads.iter_mut().zip(indices) {
+            let at = 2 * *index as usize;
+            *quad = match bytes.get(at..at + 4) {
+                Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
+                _ => 0,
+            };
         }
     }
 }

@@ -26,9 +26,21 @@ pub(crate) struct FastLevel {
 pub(crate) struct Triangle {
     /// A pixel in the middle of the chart; positions are relative to it.
     pub(crate) centre: Vector2<f64>,
+    /// Largest |u| and |v| of its pixels, relative to the centre.
+    pub(super) reach: [f32; 2],
+    /// sum q over all of its pixels.
+    pub(super) weight: f64,
     /// First of its pixels in the padded columns.
     start: usize,
     pixels: usize,
+}
+
+impl Triangle {
+    /// Number of its pixels.
+    #[expect(clippy::cast_precision_loss, reason = "pixel counts are far below 2^52")]
+    pub(super) fn count(&self) -> f64 {
+        self.pixels as f64
+    }
 }
 
 /// At most [`BLOCK`] pixels of one triangle, padded to whole vectors.
@@ -56,7 +68,14 @@ impl FastLevel {
         };
         for chart in &template.charts {
             let (start, centre) = (level.positions.len(), centre(template, chart));
-            level.triangles.push(Triangle { centre, start, pixels: chart.range().len() });
+            let range = chart.range();
+            level.triangles.push(Triangle {
+                centre,
+                reach: reach(&template.pixels.position[range.clone()], centre),
+                weight: template.pixels.weight[range.clone()].iter().copied().map(f64::from).sum(),
+                start,
+                pixels: range.len(),
+            });
             for first in chart.range().step_by(BLOCK) {
                 let range = first..(first + BLOCK).min(chart.end as usize);
                 level.push_block(&template.pixels, range, centre);
@@ -102,4 +121,14 @@ impl FastLevel {
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.positions.as_slice()) + size_of_val(self.columns.as_slice())
     }
+}
+
+/// Largest distance of positions from the centre, along u and v.
+fn reach(positions: &[[u16; 2]], centre: Vector2<f64>) -> [f32; 2] {
+    [0, 1].map(|k| {
+        let far = positions.iter().map(|p| (f64::from(p[k]) - centre[k]).abs()).fold(0.0, f64::max);
+        #[expect(clippy::cast_possible_truncation, reason = "whole numbers below 2^16")]
+        let far = far as f32;
+        far
+    })
 }

@@ -1,0 +1,107 @@
+//! Where the pixels of a block are in the image, eq. (3).
+
+use fearless_simd::{Simd, prelude::*};
+
+use super::kernel::{Scratch, splat, unpack};
+use super::pairs::Pairs;
+use super::template::Block;
+use crate::backend::local::LocalWarp;
+
+/// A chart whose corners are this far inside the image lies inside it, whatever f32 does to its pixels.
+const MARGIN: f32 = 0.01;
+/// Numbers of pixels below this are exact in f32.
+const EXACT: u32 = 1 << 24;
+
+/// Are all pixels of a chart inside the image? `reach` is the largest |u| and |v| of its pixels. With positive depths the
+/// rectangle around them goes to the quadrangle of its warped corners.
+pub(super) fn is_inside(warp: &LocalWarp, reach: [f32; 2], image: &Pairs) -> bool {
+    if image.width.saturating_mul(image.height) >= EXACT {
+        return false;
+    }
+    #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
+    let last = [image.width as f32 - 1.0, image.height as f32 - 1.0];
+    [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].iter().all(|[u, v]| {
+        let [x, y, depth] = warp.rows.map(|[a, b, c]| a * (u * reach[0]) + b * (v * reach[1]) + c);
+        let inside = |x: f32, k: usize| {
+            let x = x / depth + warp.base[k];
+            x >= MARGIN && x <= last[k] - MARGIN
+        };
+        depth > 0.0 && inside(x, 0) && inside(y, 1)
+    })
+}
+
+/// Positions of a block whose chart [`is_inside`]; those of padding are inside as well.
+#[inline(always)]
+pub(super) fn locate_inside<S: Simd>(
+    simd: S,
+    block: &Block<'_>,
+    warp: &LocalWarp,
+    image: &Pairs,
+    scratch: &mut Scratch,
+) {
+    let [row_u, row_v, row_w] = warp.rows;
+    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
+    #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
+    let stride = image.width as f32;
+    // The index of a pixel is exact in f32.
+    let [one, stride, base] = splat(simd, [1.0, stride, warp.base[1] * stride + warp.base[0]]);
+    for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
+        let at = i..i + S::f32s::LEN;
+        let [u, v] = unpack(simd, &block.positions[at.clone()]);
+        let inverse = one / apply(row_w, u, v);
+        let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
+        let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
+        let index: S::i32s = (corner_v.mul_add(stride, corner_u) + base).to_int();
+        let index: S::u32s = index.bitcast();
+        index.store_slice(&mut scratch.index[at.clone()]);
+        (local_u - corner_u).store_slice(&mut scratch.fraction[0][at.clone()]);
+        (local_v - corner_v).store_slice(&mut scratch.fraction[1][at]);
+    }
+}
+
+/// Positions of any block, and which of them are inside.
+#[inline(always)]
+pub(super) fn locate<S: Simd>(
+    simd: S,
+    block: &Block<'_>,
+    warp: &LocalWarp,
+    image: &Pairs,
+    scratch: &mut Scratch,
+) {
+    let [row_u, row_v, row_w] = warp.rows;
+    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
+    let [base_u, base_v] = splat(simd, warp.base);
+    #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
+    let [last_u, last_v] = splat(simd, [image.width as f32 - 1.0, image.height as f32 - 1.0]);
+    let stride = S::i32s::splat(simd, image.width.cast_signed());
+    let [zero, one, outside] = splat(simd, [0.0, 1.0, -1.0]);
+    for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
+        let at = i..i + S::f32s::LEN;
+        let [u, v] = unpack(simd, &block.positions[at.clone()]);
+        let depth = apply(row_w, u, v);
+        let inverse = one / depth;
+        let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
+        let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
+        let (pixel_u, pixel_v) = (corner_u + base_u, corner_v + base_v);
+        // Positive range tests, so that NaN is outside, chained by their operands: combining masks is not inlined
+        // without optimisation across crates.
+        let from_left = depth.simd_gt(zero).select(pixel_u, outside);
+        let from_right = from_left.simd_ge(zero).select(last_u - pixel_u, outside);
+        let from_top = from_right.simd_gt(zero).select(pixel_v, outside);
+        let inside = from_top.simd_ge(zero).select(last_v - pixel_v, outside).simd_gt(zero);
+        let row: S::i32s = inside.select(pixel_v, zero).to_int();
+        let column: S::i32s = inside.select(pixel_u, zero).to_int();
+        let index: S::u32s = (row * stride + column).bitcast();
+        index.store_slice(&mut scratch.index[at.clone()]);
+        inside.select(local_u - corner_u, zero).store_slice(&mut scratch.fraction[0][at.clone()]);
+        inside.select(local_v - corner_v, zero).store_slice(&mut scratch.fraction[1][at.clone()]);
+        inside.select(one, zero).store_slice(&mut scratch.inside[at]);
+    }
+    scratch.inside[block.pixels..block.positions.len()].fill(0.0);
+}
+
+/// A row of a warp times (u, v, 1).
+#[inline(always)]
+fn apply<S: Simd, V: SimdFloat<S>>(row: [V; 3], u: V, v: V) -> V {
+    row[0].mul_add(u, row[1].mul_add(v, row[2]))
+}
