@@ -36,19 +36,18 @@ fn accumulate(
     var gains = vec4f();
     var projections: array<vec4f, MODES>;
     for (var p = chunk.start + lane; p < end; p += WORKGROUP) {
-        let packed = bitcast<i32>(positions[p]);
-        let at = vec3f(f32((packed << 16u) >> 16u), f32(packed >> 16u), 1.0);
+        let at = vec3f(halves(positions[p]), 1.0);
         let depth = dot(warp.row_w.xyz, at);
         let local = vec2f(dot(warp.row_u.xyz, at), dot(warp.row_v.xyz, at)) / depth;
         let corner = floor(local);
         let pixel = corner + base;
         // A positive range test, so that NaN is outside.
         if (depth > 0.0 && all(pixel >= vec2f()) && all(pixel < size - 1.0)) {
-            let texel = texels[p];
+            let texel = texel_at(p);
             var residual = texel.z - bilinear(pixel, local - corner, size);
             var mode: array<vec4f, MODES>;
             for (var k = 0u; k < MODE_PLANES; k++) {
-                mode[k] = modes[k * level.pixels + p];
+                mode[k] = modes_at(k, p);
                 residual += dot(lambda[k], mode[k]);
             }
             let q = texel.w;

@@ -8,15 +8,39 @@ const MODES: u32 = max(MODE_PLANES, 1u);
 @group(0) @binding(1) var<storage, read> chunks: array<Chunk>;
 /// Signed u in the low, v in the high half, relative to the chart's centre.
 @group(0) @binding(2) var<storage, read> positions: array<u32>;
-/// g_u, g_v, T0, q.
-@group(0) @binding(3) var<storage, read> texels: array<vec4f>;
-/// T1..Tl, plane by plane.
-@group(0) @binding(4) var<storage, read> modes: array<vec4f>;
+/// Two 16-bit numbers to a word, the first in the low half: g_u and g_v with sign, T0 and q without.
+@group(0) @binding(3) var<storage, read> texels: array<vec2u>;
+/// T1..Tl, plane by plane, four 16-bit numbers with sign each.
+@group(0) @binding(4) var<storage, read> modes: array<vec2u>;
 @group(1) @binding(0) var<storage, read> warps: array<Warp>;
 @group(1) @binding(1) var<storage, read> appearance: array<vec4f>;
 @group(1) @binding(2) var<storage, read_write> sums: array<vec4f>;
 @group(2) @binding(0) var image: texture_2d<f32>;
 @group(2) @binding(1) var image_sampler: sampler;
+
+/// Steps of the 16-bit numbers, as in `model::steps`.
+const SIGNED_STEP: f32 = 1.0 / 128.0;
+const INTENSITY_STEP: f32 = 1.0 / 256.0;
+const WEIGHT_STEP: f32 = 1.0 / 32768.0;
+
+/// Both halves of a word as numbers with sign.
+fn halves(word: u32) -> vec2f {
+    let both = bitcast<i32>(word);
+    return vec2f(f32((both << 16u) >> 16u), f32(both >> 16u));
+}
+
+/// g_u, g_v, T0, q of a pixel.
+fn texel_at(p: u32) -> vec4f {
+    let packed = texels[p];
+    let unsigned = vec2f(f32(packed.y & 0xffffu), f32(packed.y >> 16u));
+    return vec4f(SIGNED_STEP * halves(packed.x), vec2f(INTENSITY_STEP, WEIGHT_STEP) * unsigned);
+}
+
+/// Four modes of a pixel.
+fn modes_at(plane: u32, p: u32) -> vec4f {
+    let packed = modes[plane * level.pixels + p];
+    return SIGNED_STEP * vec4f(halves(packed.x), halves(packed.y));
+}
 
 var<workgroup> partial: array<vec4f, WORKGROUP * SUM_PLANES>;
 /// The grey values 0..255 of the four pixels around a position in the order (0, 1), (1, 1), (1, 0), (0, 0); `pixel` is

@@ -14,4 +14,4 @@ pub use chart::{Chart, ChartGeometry};
 pub use groups::{Grouping, Groups};
 pub use moments::Moments;
 pub use shape::Shape;
-pub use template::{LevelTemplate, Model, Pixels, View};
+pub use template::{LevelTemplate, Model, Pixels, View, steps};

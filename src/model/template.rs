@@ -34,7 +34,27 @@ pub struct Pixels {
     pub modes: Vec<Vec<f32>>,
 }
 
+/// Steps of the values of a template: 16-bit numbers on the device, the same values on every backend.
+pub mod steps {
+    /// Of gradients (grey levels per pixel) and of modes (grey levels): 16 bits with sign.
+    pub const SIGNED: f32 = 1.0 / 128.0;
+    /// Of the mean intensity, grey levels: 16 bits.
+    pub const INTENSITY: f32 = 1.0 / 256.0;
+    /// Of the weight: 1 is 2^15.
+    pub const WEIGHT: f32 = 1.0 / 32768.0;
+}
+
 impl Pixels {
+    /// Rounds all values to [`steps`] of what 16 bits hold, far below the noise of any image.
+    fn round(&mut self) {
+        let to =
+            |step: f32, lo: f32, hi: f32| move |x: &mut f32| *x = (*x / step).round().clamp(lo, hi) * step;
+        let signed = to(steps::SIGNED, f32::from(i16::MIN), f32::from(i16::MAX));
+        self.gradient.as_flattened_mut().iter_mut().chain(self.modes.iter_mut().flatten()).for_each(signed);
+        self.intensity.iter_mut().for_each(to(steps::INTENSITY, 0.0, f32::from(u16::MAX)));
+        self.weight.iter_mut().for_each(to(steps::WEIGHT, 0.0, 1.0 / steps::WEIGHT));
+    }
+
     /// Number of pixels.
     pub fn len(&self) -> usize {
         self.position.len()
@@ -64,7 +84,7 @@ pub struct LevelTemplate {
 }
 
 impl LevelTemplate {
-    /// Joins pixels and charts with what follows from them.
+    /// Joins pixels, rounded to their [`steps`], and charts with what follows from them.
     ///
     /// # Errors
     /// [`Error::Invalid`] if the columns differ in length, a chart reaches beyond them, or a number is not finite.
@@ -72,12 +92,13 @@ impl LevelTemplate {
         shape: &Shape,
         views: &[View],
         level: usize,
-        pixels: Pixels,
+        mut pixels: Pixels,
         charts: Vec<Chart>,
     ) -> Result<Self> {
         check(shape, views, &pixels, &charts).map_err(|problem| {
             Error::invalid(format!("template level {level}"), problem, "train the model again")
         })?;
+        pixels.round();
         let geometry: Vec<_> = charts
             .iter()
             .enumerate()

@@ -8,7 +8,7 @@ use super::context::Context;
 use crate::backend::TriangleWarp;
 use crate::backend::local::{self, LocalWarp};
 use crate::error::Result;
-use crate::model::{LevelTemplate, Pixels};
+use crate::model::{LevelTemplate, Pixels, steps};
 
 /// One level of a template; `Level` in `shaders/common.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -169,14 +169,38 @@ fn positions(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<u32> {
     packed
 }
 
-fn texels(pixels: &Pixels) -> Vec<[f32; 4]> {
+/// Gradient, then intensity and weight: two 16-bit numbers to a word.
+fn texels(pixels: &Pixels) -> Vec<[u32; 2]> {
     let columns = pixels.gradient.iter().zip(&pixels.intensity).zip(&pixels.weight);
-    columns.map(|((&[gu, gv], &intensity), &weight)| [gu, gv, intensity, weight]).collect()
+    columns
+        .map(|((&[gu, gv], &intensity), &weight)| {
+            let gradient = pair(signed(gu), signed(gv));
+            [gradient, pair(unsigned(intensity, steps::INTENSITY), unsigned(weight, steps::WEIGHT))]
+        })
+        .collect()
 }
 
-/// Four modes to a plane; missing modes are zero.
-fn mode_planes(pixels: &Pixels) -> Vec<[f32; 4]> {
-    let plane =
-        |four: &'_ [Vec<f32>], p: usize| std::array::from_fn(|k| four.get(k).map_or(0.0, |mode| mode[p]));
+/// Four modes to a plane, two to a word; missing modes are zero.
+fn mode_planes(pixels: &Pixels) -> Vec<[u32; 2]> {
+    let plane = |four: &'_ [Vec<f32>], p: usize| {
+        let mode = |k: usize| four.get(k).map_or(0, |mode| signed(mode[p]));
+        [pair(mode(0), mode(1)), pair(mode(2), mode(3))]
+    };
     pixels.modes.chunks(4).flat_map(|four| (0..pixels.len()).map(move |p| plane(four, p))).collect()
+}
+
+/// The first in the low, the second in the high half.
+fn pair(low: u16, high: u16) -> u32 {
+    u32::from(low) | u32::from(high) << 16
+}
+
+/// Values are whole numbers of steps that fit 16 bits, as [`LevelTemplate::new`] rounds them.
+#[expect(clippy::cast_possible_truncation, reason = "a whole number of 16 bits")]
+fn signed(value: f32) -> u16 {
+    ((value / steps::SIGNED) as i16).cast_unsigned()
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a whole number of 16 bits")]
+fn unsigned(value: f32, step: f32) -> u16 {
+    (value / step) as u16
 }

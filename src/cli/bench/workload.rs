@@ -12,8 +12,9 @@ use crate::simulate::{SceneKind, Sequence, SequenceOptions};
 use crate::train::{TrainOptions, TrainingImage, train};
 use nalgebra::Vector3;
 
-/// Training images: enough for all modes.
+/// Training images: enough for all modes, spread over a sequence of so many frames.
 const TRAINING_IMAGES: usize = 18;
+const TRAINING_FRAMES: usize = 120;
 /// Most appearance modes of any workload.
 const MOST_MODES: usize = 16;
 /// Smallest and largest distance of the start poses, metres and radians.
@@ -38,8 +39,9 @@ impl Workload {
             supersampling: 2,
             ..SequenceOptions::default()
         };
-        let trained_on = Sequence::new(options(2, TRAINING_IMAGES))?;
+        let trained_on = Sequence::new(options(2, TRAINING_FRAMES))?;
         let images: Vec<_> = (0..TRAINING_IMAGES)
+            .map(|k| k * (TRAINING_FRAMES - 1) / (TRAINING_IMAGES - 1))
             .map(|k| TrainingImage {
                 image: trained_on.image(k),
                 camera: *trained_on.camera(),
