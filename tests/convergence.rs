@@ -220,6 +220,20 @@ fn a_box_trained_on_both_ends_of_its_turn_is_followed() {
     assert!(e.lost == 0 && corner[0] <= 0.15 && corner[1] <= 0.4, "{text}");
 }
 
+/// Of the pixels of every chart the quarter with the strongest gradients tracks nearly as well as all.
+#[test]
+fn a_quarter_of_the_pixels_is_enough() {
+    let (sequence, model) = &*RELIEF;
+    let thin = model.thinned(0.25).expect("a share");
+    let pixels = |m: &Model| m.levels[0].pixels.len();
+    let share = (100 * pixels(&thin)).div_ceil(pixels(model));
+    assert!((25..=27).contains(&share), "{share} % of the pixels are left");
+    check_relief("a quarter of the pixels", &follow(sequence, &thin, 0..60).1);
+    for wrong in [0.0, 1.5, f64::NAN] {
+        assert!(model.thinned(wrong).is_err(), "{wrong} is no share");
+    }
+}
+
 /// Landmark error of every frame, and whether it is believed.
 fn errors(poses: &[Pose], tracked: &[Tracked]) -> Vec<(f64, bool)> {
     let (camera, vertices) = (RELIEF.0.camera(), &RELIEF.0.object().mesh.vertices);

@@ -61,6 +61,10 @@ pub(super) struct Args {
     /// Number of appearance modes
     #[arg(long, value_name = "L", default_value_t = 0)]
     modes: usize,
+    /// Keep only this share (0 to 1) of the pixels at full size, those that say most about the pose: less time for less
+    /// accuracy
+    #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+    keep: f64,
     /// Leave the triangles as they are in the mesh, for `--method paper`; else large ones are cut
     #[arg(long)]
     whole_triangles: bool,
@@ -244,6 +248,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
             Trained { model, images, fit: Fit::default() }
         }
     };
+    model = model.thinned(args.keep)?;
     calibrate(&mut model, &images)?;
     model.save(&args.out)?;
     let s = Summary::new(&args.out, &model, fit);

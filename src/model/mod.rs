@@ -5,6 +5,7 @@ pub mod chart;
 pub mod file;
 pub mod groups;
 pub mod moments;
+mod selection;
 pub mod shape;
 pub mod template;
 pub mod weights;

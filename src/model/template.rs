@@ -19,7 +19,7 @@ pub struct View {
     pub camera_from_object: Pose,
 }
 
-/// Chart pixels of one level, one entry per pixel in every column.
+/// Chart pixels of one level, one entry per pixel in every column; in a template all values are whole numbers of [`steps`].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Pixels {
     /// Position relative to the chart's origin, pixels.
@@ -45,14 +45,16 @@ pub mod steps {
 }
 
 impl Pixels {
-    /// Rounds all values to [`steps`] of what 16 bits hold, far below the noise of any image.
-    fn round(&mut self) {
+    /// All values rounded to [`steps`] of what 16 bits hold, far below the noise of any image; [`LevelTemplate::new`] does so.
+    #[must_use]
+    pub fn rounded(mut self) -> Self {
         let to =
             |step: f32, lo: f32, hi: f32| move |x: &mut f32| *x = (*x / step).round().clamp(lo, hi) * step;
         let signed = to(steps::SIGNED, f32::from(i16::MIN), f32::from(i16::MAX));
         self.gradient.as_flattened_mut().iter_mut().chain(self.modes.iter_mut().flatten()).for_each(signed);
         self.intensity.iter_mut().for_each(to(steps::INTENSITY, 0.0, f32::from(u16::MAX)));
         self.weight.iter_mut().for_each(to(steps::WEIGHT, 0.0, 1.0 / steps::WEIGHT));
+        self
     }
 
     /// Number of pixels.
@@ -92,13 +94,13 @@ impl LevelTemplate {
         shape: &Shape,
         views: &[View],
         level: usize,
-        mut pixels: Pixels,
+        pixels: Pixels,
         charts: Vec<Chart>,
     ) -> Result<Self> {
         check(shape, views, &pixels, &charts).map_err(|problem| {
             Error::invalid(format!("template level {level}"), problem, "train the model again")
         })?;
-        pixels.round();
+        let pixels = pixels.rounded();
         let geometry: Vec<_> = charts
             .iter()
             .enumerate()

@@ -47,7 +47,7 @@ impl Scene {
             .map(|(item, t)| warp(&mut rng, item, t))
             .collect();
         let appearance = (0..items * modes).map(|_| rng.random_range(-1.0..1.0)).collect();
-        let pixels = template(&mut rng, &charts, modes, &warps, &image);
+        let pixels = template(&mut rng, &charts, modes, &warps, &image).rounded();
         Self { model: model(pixels, charts), image, items, warps, appearance }
     }
 

@@ -116,13 +116,5 @@ fn resampled(level: &LevelTemplate, share: f64, modes: usize) -> (Pixels, Vec<Ch
         taken.extend((0..count).map(|k| range.start + k * range.len() / count));
         (chart.start, chart.end, start) = (start, end, end);
     }
-    let column = |values: &Vec<f32>| taken.iter().map(|&p| values[p]).collect();
-    let pixels = Pixels {
-        position: taken.iter().map(|&p| from.position[p]).collect(),
-        gradient: taken.iter().map(|&p| from.gradient[p]).collect(),
-        intensity: column(&from.intensity),
-        weight: column(&from.weight),
-        modes: from.modes.iter().take(modes).map(column).collect(),
-    };
-    (pixels, charts)
+    (from.picked(&taken, modes), charts)
 }
