@@ -1,4 +1,4 @@
-//! Templates kept in a file: rendering them takes a second, reading them a hundredth of that.
+//! Templates and landmarks kept in a file: rendering them takes some seconds, reading them a hundredth of that.
 
 use std::io;
 use std::path::Path;
@@ -6,6 +6,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::FindOptions;
+use super::Known;
+use super::landmarks::Landmarks;
 use super::templates::Templates;
 use crate::backend::ScanPoint;
 use crate::dataset::sealed::Seal;
@@ -15,7 +17,7 @@ use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
 /// The version is raised whenever the payload changes, or what is rendered.
-const SEAL: Seal = Seal { magic: *b"AAM6DTPL", version: 1, what: "file of templates", remedy: "delete it" };
+const SEAL: Seal = Seal { magic: *b"AAM6DTPL", version: 2, what: "file of templates", remedy: "delete it" };
 
 /// All that the templates depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +42,7 @@ impl Key {
 struct Payload {
     key: Key,
     templates: Vec<Stored>,
+    landmarks: Landmarks,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -53,7 +56,7 @@ struct Stored {
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be read, [`Error::Field`] if it is no such file, or damaged.
-pub(super) fn load(path: &Path, key: &Key, model: &Model) -> Result<Option<Templates>> {
+pub(super) fn load(path: &Path, key: &Key, model: &Model) -> Result<Option<Known>> {
     let bytes = match std::fs::read(path) {
         Ok(bytes) => bytes,
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -69,20 +72,25 @@ pub(super) fn load(path: &Path, key: &Key, model: &Model) -> Result<Option<Templ
     for Stored { pose, radius, points } in stored.templates {
         templates.push(pose, &points, radius);
     }
-    Ok(Some(templates))
+    Ok(Some(Known { templates, landmarks: stored.landmarks }))
 }
 
 /// Writes templates to a file, which appears complete or not at all.
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be written.
-pub(super) fn save(path: &Path, key: &Key, templates: &Templates) -> Result<()> {
+pub(super) fn save(path: &Path, key: &Key, known: &Known) -> Result<()> {
+    let Known { templates, landmarks } = known;
     let stored = |k: usize| Stored {
         pose: templates.poses[k],
         radius: templates.radius[k],
         points: templates.scan.get(k).0.to_vec(),
     };
-    let payload = Payload { key: key.clone(), templates: (0..templates.poses.len()).map(stored).collect() };
+    let payload = Payload {
+        key: key.clone(),
+        templates: (0..templates.poses.len()).map(stored).collect(),
+        landmarks: landmarks.clone(),
+    };
     let payload = postcard::to_stdvec(&payload).map_err(|e| Error::io(path, io::Error::other(e)))?;
     write_atomically(path, |out| out.write_all(&SEAL.close(&payload)))
 }

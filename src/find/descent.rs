@@ -27,8 +27,6 @@ struct Sums {
     cost: f64,
     /// sum t.F / sqrt(sum |t|^2).
     agreement: f64,
-    /// sum t.F / sum |t|^2.
-    likeness: f64,
 }
 
 /// Where a descent ended.
@@ -37,8 +35,6 @@ pub(super) struct Ended {
     pub(super) pose: Pose,
     /// z = sum t.F / sqrt(sum |t|^2) over the points given.
     pub(super) agreement: f64,
-    /// sum t.F / sum |t|^2: 1 where the image is as it should be, about 0 where it has nothing to do with it.
-    pub(super) likeness: f64,
 }
 
 /// Descends from a pose; `centre` is the object's centre of rotation.
@@ -79,7 +75,7 @@ pub(super) fn descend(
             break;
         }
     }
-    Ended { pose, agreement: sums.agreement, likeness: sums.likeness }
+    Ended { pose, agreement: sums.agreement }
 }
 
 /// Lever of a rotation in the stop rule, metres.
@@ -154,6 +150,5 @@ fn sum(
         gradient: Vector6::from_fn(|i, _| f64::from(gradient[i])),
         cost: f64::from(cost),
         agreement: if energy > 0.0 { f64::from(product / energy.sqrt()) } else { 0.0 },
-        likeness: if energy > 0.0 { f64::from(product / energy) } else { 0.0 },
     }
 }

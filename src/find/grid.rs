@@ -65,6 +65,14 @@ pub(super) fn poses(model: &Model, atlas: &Atlas, camera: &Camera, options: &Fin
     all
 }
 
+/// Poses of so many directions of view per steradian at one distance, without roll.
+pub(super) fn views(model: &Model, atlas: &Atlas, per_steradian: f64, distance: f64) -> Vec<Pose> {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small number")]
+    let count = (4.0 * std::f64::consts::PI * per_steradian).round() as usize;
+    let charted = sphere(count).filter(|d| is_charted(atlas, model, d));
+    charted.map(|d| looking(&d, 0.0, distance, &model.shape.centre)).collect()
+}
+
 /// Points of a Fibonacci spiral on the unit sphere.
 fn sphere(count: usize) -> impl Iterator<Item = Vector3<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());

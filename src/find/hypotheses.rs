@@ -9,10 +9,8 @@ use crate::model::Model;
 #[derive(Debug, Clone)]
 pub(super) struct Hypothesis {
     pub(super) pose: Pose,
-    /// z = sum t.F / sqrt(sum |t|^2) over all pixels of the object.
+    /// z = sum t.F / sqrt(sum |t|^2) over all pixels of the object; of keypoints, how many agree.
     pub(super) agreement: f64,
-    /// sum t.F / sum |t|^2.
-    pub(super) likeness: f64,
 }
 
 /// Corners of the object's box in the image; a corner behind the camera is far away.

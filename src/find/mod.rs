@@ -2,16 +2,21 @@
 //!
 //! Sparse templates of the model, rendered from its charts at a grid of poses, are scored at every position of the
 //! image at an eighth of its size (stage `scan`); the best are refined and ranked on finer and finer images, the few
-//! that are left aligned in full and judged by their score. All comparisons before the alignment are of the
-//! soft-normalised gradient, which light hardly changes and which bounds the influence of every pixel.
+//! that are left aligned in full and judged by what they explain of the image. All comparisons before the alignment are of
+//! the soft-normalised gradient, which light hardly changes and which bounds the influence of every pixel. If that does
+//! not find the whole object, keypoints of the image and of the object say further hypotheses, which go the same way.
 //! `docs/maths.md`, "First pose".
 
 mod atlas;
 mod cache;
 mod descent;
+mod evidence;
 mod grid;
 mod hypotheses;
+mod judge;
+mod landmarks;
 mod map;
+mod matching;
 mod points;
 mod priors;
 mod render;
@@ -21,31 +26,20 @@ mod templates;
 use std::path::Path;
 use std::time::Instant;
 
-use crate::align::{Aligner, PoseEstimate, Start, Target};
+use crate::align::{Aligner, PoseEstimate, Target};
 use crate::backend::Backend;
 use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose, Symmetries};
 use crate::model::Model;
 use atlas::Atlas;
-use hypotheses::Hypothesis;
+use evidence::Evidence;
+use landmarks::Landmarks;
 use templates::Templates;
 
 pub use priors::Priors;
 
 /// Sides of the image that is scanned are at most this long, pixels.
 const SCAN_SIDE: u32 = 120;
-/// A found pose has at least this median correlation.
-const FOUND_CORRELATION: f64 = 0.8;
-/// A pose of which a part is hidden is found if this share of its triangles is recognised,
-const FOUND_SHARE: f64 = 0.48;
-/// has this median correlation,
-const HIDDEN_CORRELATION: f64 = 0.6;
-/// and its edges are this much like those of the image (1: the same, 0: unrelated).
-const FOUND_LIKENESS: f64 = 0.4;
-/// Another pose is an ambiguity from this share of the best one's agreement on.
-const AMBIGUOUS_SHARE: f64 = 0.75;
-/// Poses whose corners are this far apart (rms, pixels) are different ones.
-const DIFFERENT_PX: f64 = 20.0;
 
 /// Choices of the search.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,14 +98,32 @@ pub struct StageReport {
     pub time_ms: f64,
 }
 
+impl StageReport {
+    fn new(stage: &'static str, hypotheses: usize, kept: Vec<Pose>, began: Instant) -> Self {
+        Self { stage, hypotheses, kept, time_ms: began.elapsed().as_secs_f64() * 1e3 }
+    }
+}
+
 /// Finds one object in images of one camera.
 #[derive(Debug)]
 pub struct Finder {
     atlas: Atlas,
     camera: Camera,
     options: FindOptions,
-    templates: Templates,
+    known: Known,
     level: usize,
+    /// Root mean square distance of the object's points from its centre, metres.
+    extent: f64,
+}
+
+/// An aligned hypothesis and what it explains.
+type Candidate = (Evidence, PoseEstimate);
+
+/// How the object looks.
+#[derive(Debug)]
+struct Known {
+    templates: Templates,
+    landmarks: Landmarks,
 }
 
 impl Finder {
@@ -133,15 +145,15 @@ impl Finder {
         Self::of(model, camera, options, |scanned, render| {
             let key = cache::Key::new(model, scanned, options)?;
             match cache::load(path, &key, model) {
-                Ok(Some(templates)) => return Ok(templates),
+                Ok(Some(known)) => return Ok(known),
                 Ok(None) => {}
                 Err(error) => tracing::warn!("{error}; templates are rendered anew"),
             }
-            let templates = render();
-            if let Err(error) = cache::save(path, &key, &templates) {
+            let known = render();
+            if let Err(error) = cache::save(path, &key, &known) {
                 tracing::warn!("{error}; templates will be rendered again");
             }
-            Ok(templates)
+            Ok(known)
         })
     }
 
@@ -150,7 +162,7 @@ impl Finder {
         model: &Model,
         camera: &Camera,
         options: &FindOptions,
-        get: impl FnOnce(&Camera, &dyn Fn() -> Templates) -> Result<Templates>,
+        get: impl FnOnce(&Camera, &dyn Fn() -> Known) -> Result<Known>,
     ) -> Result<Self> {
         camera.validate()?;
         if !camera.distortion.is_none() {
@@ -161,17 +173,21 @@ impl Finder {
         let level = (0..).find(|level| longest >> level <= SCAN_SIDE).unwrap_or(0);
         let atlas = Atlas::new(model);
         let scanned = camera.at_level(level);
-        let templates = get(&scanned, &|| Templates::render(model, &atlas, &scanned, options))?;
-        if templates.poses.is_empty() {
+        let known = get(&scanned, &|| Known {
+            templates: Templates::render(model, &atlas, &scanned, options),
+            landmarks: Landmarks::render(model, &atlas, camera, options),
+        })?;
+        if known.templates.poses.is_empty() {
             let problem = "no pose in which the model knows most of what is seen";
             return Err(Error::invalid("model", problem, "train it with views of the sides to be found"));
         }
-        Ok(Self { atlas, camera: *camera, options: options.clone(), templates, level })
+        let extent = grid::extent(model);
+        Ok(Self { atlas, camera: *camera, options: options.clone(), known, level, extent })
     }
 
     /// Number of templates.
     pub fn templates(&self) -> usize {
-        self.templates.poses.len()
+        self.known.templates.poses.len()
     }
 
     /// Is there any template that may look like this?
@@ -197,61 +213,16 @@ impl Finder {
             return Err(Error::invalid("frame", problem, "make a finder for this camera"));
         }
         let mut found = Found::default();
-        let hypotheses = self.hypotheses(backend, target, priors, &mut found.stages)?;
-        let began = Instant::now();
-        let starts: Vec<Start> = hypotheses
-            .iter()
-            .map(|h| Start { camera_from_object: h.pose, appearance: vec![0.0; target.model.modes()] })
-            .collect();
-        let mut estimates = Vec::new();
-        aligner.refine(backend, target, &starts, &mut estimates)?;
-        // What is not hidden reaches farther from coarser levels.
-        if !estimates.iter().any(is_whole) {
-            let mut aligned = Vec::new();
-            aligner.align(backend, target, &starts, &mut aligned)?;
-            estimates.extend(aligned);
+        let mut candidates = Vec::new();
+        let scanned = self.scanned(backend, target, priors, &mut found.stages)?;
+        self.align(backend, aligner, target, &scanned, &mut candidates, &mut found.stages)?;
+        self.judge(target, &mut candidates, &mut found);
+        if !candidates.first().is_some_and(|(evidence, _)| evidence.is_clear()) {
+            let matched = self.matched(target, priors, &mut found.stages);
+            self.align(backend, aligner, target, &matched, &mut candidates, &mut found.stages)?;
+            self.judge(target, &mut candidates, &mut found);
         }
-        self.judge(target, estimates, &mut found);
-        let believed = found.best.iter().chain(&found.others);
-        let kept = believed.map(|e| e.camera_from_object).collect();
-        found.stages.push(StageReport {
-            stage: "align",
-            hypotheses: hypotheses.len(),
-            kept,
-            time_ms: began.elapsed().as_secs_f64() * 1e3,
-        });
         Ok(found)
-    }
-
-    /// Who is believed, and who is the best of them: the one with most agreement over the whole object. The correlation
-    /// is a median, which a pose reaches as well that shows one face of a box where it is and the others elsewhere.
-    fn judge(&self, target: &Target<'_>, estimates: Vec<PoseEstimate>, found: &mut Found) {
-        let looks = self.looks(target, &estimates);
-        let mut ranked: Vec<(Hypothesis, PoseEstimate)> = looks.into_iter().zip(estimates).collect();
-        ranked.sort_by(|a, b| b.0.agreement.total_cmp(&a.0.agreement));
-        let (believed, rejected): (Vec<_>, Vec<_>) =
-            ranked.into_iter().partition(|(look, e)| is_found(e, look.likeness));
-        let most = believed.first().map_or(0.0, |(look, _)| look.agreement);
-        let mut believed = believed.into_iter();
-        found.best = believed.next().map(|(_, e)| e);
-        for (_, estimate) in believed.filter(|(look, _)| look.agreement >= AMBIGUOUS_SHARE * most) {
-            let known = found.best.iter().chain(&found.others);
-            if known.into_iter().all(|e| self.differ(target.model, e, &estimate)) {
-                found.others.push(estimate);
-            }
-        }
-        if found.best.is_none() {
-            found.rejected = rejected.into_iter().map(|(_, e)| e).next();
-        }
-    }
-
-    fn differ(&self, model: &Model, a: &PoseEstimate, b: &PoseEstimate) -> bool {
-        let project = |pose: &Pose| hypotheses::corners(model, &self.camera, pose);
-        let seen = project(&a.camera_from_object);
-        let same = |motion: &Pose| {
-            hypotheses::distance_px(&seen, &project(&b.camera_from_object.compose(motion))) <= DIFFERENT_PX
-        };
-        !self.options.symmetries.motions().iter().any(same)
     }
 }
 
@@ -279,17 +250,4 @@ impl FindOptions {
         }
         Ok(())
     }
-}
-
-/// Is the object where the estimate says? Where a part of it is hidden the median correlation is low, but the rest must
-/// be recognised, and edges of the whole must be where they should be.
-fn is_found(estimate: &PoseEstimate, likeness: f64) -> bool {
-    let score = &estimate.score;
-    let hidden = score.correlation >= HIDDEN_CORRELATION && score.recognised >= FOUND_SHARE;
-    is_whole(estimate) || (hidden && likeness >= FOUND_LIKENESS)
-}
-
-/// Is it found with nothing of importance hidden?
-fn is_whole(estimate: &PoseEstimate) -> bool {
-    !estimate.score.is_lost() && estimate.score.correlation >= FOUND_CORRELATION
 }

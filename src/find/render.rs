@@ -7,7 +7,7 @@ use crate::geometry::warp::{double_area, homography, plane};
 use crate::geometry::{Camera, Pose};
 
 /// Pictures do not become larger than this on a side, pixels: poses that need more are no hypotheses.
-const MAX_SIDE: f64 = 400.0;
+pub(super) const MAX_SIDE: f64 = 400.0;
 
 /// A rendered pose. The picture covers the object and may reach beyond the camera's image.
 #[derive(Debug, Clone, Default)]

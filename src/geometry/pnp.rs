@@ -68,6 +68,18 @@ fn refused(problem: impl Into<String>, remedy: &str) -> Error {
     Error::invalid("pose from points", problem, remedy)
 }
 
+/// The pose nearest to a first guess in which points are seen best at their pixels, least squares; `None` if it has points
+/// behind the camera or no unique minimum.
+pub(crate) fn refined(
+    camera: &Camera,
+    points: &[Point3<f64>],
+    pixels: &[Point2<f64>],
+    start: Pose,
+) -> Option<Pose> {
+    let fit = refine(camera, points, pixels, start)?;
+    (is_determined(&fit.normal) && fit.state.is_finite()).then_some(fit.state)
+}
+
 /// Least squares in pixels from a first guess; `None` if it has points behind the camera or no unique minimum.
 pub(super) fn refine(
     camera: &Camera,

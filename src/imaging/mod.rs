@@ -2,6 +2,7 @@
 
 pub mod corners;
 pub mod gray;
+pub mod keypoints;
 pub mod normalised;
 pub mod pyramid;
 pub mod rectify;

@@ -10,6 +10,7 @@ pub(crate) mod linear;
 pub(crate) mod pair;
 pub(crate) mod scan;
 pub(crate) mod scene;
+pub(crate) mod searched;
 pub(crate) mod sums;
 pub(crate) mod tracking;
 
