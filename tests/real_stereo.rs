@@ -13,7 +13,7 @@ use aam6d::dataset::{Dataset, PoseSource, Scene};
 use aam6d::eval::EvalObject;
 use aam6d::eval::errors::motion_error;
 use aam6d::eval::statistics::{median, percentile};
-use aam6d::geometry::bundle::{self, Prior, Sighting};
+use aam6d::geometry::bundle::{self, Mark, Prior, Sighting};
 use aam6d::geometry::raster::visible_shares;
 use aam6d::geometry::stereo::{ClickOptions, ClickPair, StereoRig};
 use aam6d::geometry::{Pose, TriangleMesh};
@@ -202,11 +202,11 @@ impl Track {
         let sightings = [0].iter().chain(&MORE_FRAMES).zip(&seen).map(|(&k, pixels)| Sighting {
             camera: left,
             camera_from_object: poses[k],
-            pixels: kept.iter().filter_map(|&i| pixels[i]).collect(),
+            marks: kept.iter().filter_map(|&i| Some(Mark::new(pixels[i]?, 0.3))).collect(),
         });
         let sightings: Vec<Sighting> = sightings.collect();
         let priors: Vec<Prior> = kept.iter().map(|&i| points[i]).collect();
-        let bundle = bundle::refine(&priors, &sightings, 0.3)?;
+        let bundle = bundle::refine(&priors, &sightings)?;
         let moved: Vec<f64> =
             bundle.points.iter().zip(&priors).map(|(a, b)| (a.position - b.position).norm() * 1e3).collect();
         figure(&format!(

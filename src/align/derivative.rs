@@ -28,15 +28,7 @@ pub(super) struct CornerMotion {
 impl CornerMotion {
     /// Motion with an increment on the right about `centre`; `None` if back-facing, edge-on or behind the camera.
     pub(super) fn new(camera: &Camera, pose: &Pose, g: &ChartGeometry, centre: &Point3<f64>) -> Option<Self> {
-        let mut projected = g.corners;
-        for (p, x) in projected.iter_mut().zip(&g.points) {
-            *p = camera.project(&pose.transform_point(x))?;
-        }
-        let a: Matrix2<f64> = affine(&g.corners, &projected)?.fixed_view::<2, 2>(0, 0).into_owned();
-        if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
-            return None;
-        }
-        let inverse = a.try_inverse()?;
+        let inverse = chart_from_image(camera, pose, g)?;
         let zero = Matrix6::zeros();
         let mut motion = Self { image: zero, template: zero, metric: zero };
         for (k, x) in g.points.iter().enumerate() {
@@ -47,6 +39,20 @@ impl CornerMotion {
         }
         Some(motion)
     }
+}
+
+/// `A^-1`: how a position in the chart moves with its position in the image; `None` if the triangle is back-facing,
+/// edge-on or behind the camera.
+pub(super) fn chart_from_image(camera: &Camera, pose: &Pose, g: &ChartGeometry) -> Option<Matrix2<f64>> {
+    let mut projected = g.corners;
+    for (p, x) in projected.iter_mut().zip(&g.points) {
+        *p = camera.project(&pose.transform_point(x))?;
+    }
+    let a: Matrix2<f64> = affine(&g.corners, &projected)?.fixed_view::<2, 2>(0, 0).into_owned();
+    if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
+        return None;
+    }
+    a.try_inverse()
 }
 
 /// sum q x f from the kernels' low-rank sums of x g (u, v, 1): b_a is linear in (u, v, 1).

@@ -1,0 +1,173 @@
+//! Which triangles the landmarks span, by what the training images say.
+//!
+//! Delaunay's triangulation knows nothing of the surface: of the two diagonals of four landmarks it takes the shorter
+//! one in the image, and between landmarks of the outline it spans what may be air. An image taken from another side
+//! tells: where the surface is wrong, the images do not agree.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::Point2;
+
+use super::survey::Survey;
+use crate::align::{TriangleFit, triangle_fits};
+use crate::error::Result;
+use crate::geometry::TriangleMesh;
+use crate::geometry::warp::double_area;
+use crate::train::TrainingImage;
+
+/// The other diagonal must lower the squared residuals of its two triangles by this share.
+const LOWER_COST: f64 = 0.01;
+/// A triangle of the outline that is believed less than this, on average over the images that show it, is not there.
+const LEAST_BELIEF: f64 = 0.75;
+/// Triangles narrower than this are not made: twice the area over the square of the longest side.
+const NARROWEST: f64 = 0.1;
+
+/// The sums over all images that show a triangle.
+#[derive(Debug, Clone, Copy, Default)]
+struct Agreement {
+    cost: f64,
+    weight: f64,
+    belief: f64,
+    images: f64,
+}
+
+impl Agreement {
+    fn add(&mut self, fit: &TriangleFit) {
+        self.cost += fit.cost;
+        self.weight += fit.weight;
+        self.belief += fit.belief;
+        self.images += 1.0;
+    }
+}
+
+/// Takes the other diagonal where the images agree better with it, and leaves out triangles that are not there.
+/// `reference` is the image in which the triangles were made. Returns how many changed.
+///
+/// # Errors
+/// Those of [`crate::train::train`] and [`triangle_fits`].
+pub(super) fn improve(mesh: &mut TriangleMesh, images: &[TrainingImage], reference: usize) -> Result<usize> {
+    let view = &images[reference];
+    let project = |x| view.camera.project(&view.camera_from_object.transform_point(x));
+    let pixels: Vec<Point2<f64>> = mesh.vertices.iter().map(|x| project(x).unwrap_or_default()).collect();
+    let mut changed = 0;
+    let before = agreements(mesh, images)?;
+    let mut open = flips(mesh, &pixels);
+    while !open.is_empty() {
+        let batch = independent(&mut open);
+        let mut other = mesh.clone();
+        batch.iter().for_each(|flip| flip.apply(&mut other));
+        let after = agreements(&other, images)?;
+        for flip in batch {
+            let mean = |all: &[Agreement]| {
+                let [a, b] = flip.triangles.map(|t| all[t]);
+                (a.cost + b.cost) / (a.weight + b.weight)
+            };
+            if mean(&after) < (1.0 - LOWER_COST) * mean(&before) {
+                flip.apply(mesh);
+                changed += 1;
+            }
+        }
+        // Flips that shared a triangle with one that was made are no longer what they were.
+        open.retain(|flip| flip.still_fits(mesh));
+    }
+    Ok(changed + trim(mesh, &agreements(mesh, images)?))
+}
+
+/// Leaves out triangles of the outline that are not there; returns how many.
+fn trim(mesh: &mut TriangleMesh, agreements: &[Agreement]) -> usize {
+    let sides = edges(mesh).into_values();
+    let outline: BTreeSet<usize> = sides.filter(|s| s.len() == 1).map(|s| s[0].0).collect();
+    let absent = |t: usize| {
+        let Agreement { belief, images, .. } = agreements[t];
+        outline.contains(&t) && belief < LEAST_BELIEF * images
+    };
+    let count = mesh.triangles.len();
+    let mut there = (0..count).map(|t| !absent(t));
+    mesh.triangles.retain(|_| there.next().unwrap_or(true));
+    count - mesh.triangles.len()
+}
+
+/// How the images agree about every triangle of the mesh.
+fn agreements(mesh: &TriangleMesh, images: &[TrainingImage]) -> Result<Vec<Agreement>> {
+    let mut survey = Survey::new(mesh, images, false)?;
+    let mut sums = vec![Agreement::default(); mesh.triangles.len()];
+    for image in images {
+        let fits = survey.look((&image.image, &image.camera), |backend, target| {
+            triangle_fits(backend, target, &image.camera_from_object)
+        })?;
+        for (sum, fit) in sums.iter_mut().zip(fits) {
+            fit.iter().for_each(|fit| sum.add(fit));
+        }
+    }
+    Ok(sums)
+}
+
+/// Two triangles and the other way to divide their four corners.
+#[derive(Debug, Clone)]
+struct Flip {
+    triangles: [usize; 2],
+    before: [[u32; 3]; 2],
+    after: [[u32; 3]; 2],
+}
+
+impl Flip {
+    fn apply(&self, mesh: &mut TriangleMesh) {
+        for (&t, corners) in self.triangles.iter().zip(self.after) {
+            mesh.triangles[t] = corners;
+        }
+    }
+
+    fn still_fits(&self, mesh: &TriangleMesh) -> bool {
+        self.triangles.map(|t| mesh.triangles[t]) == self.before
+    }
+}
+
+/// The edges (smaller index first) with the triangles on both sides and their corners opposite.
+fn edges(mesh: &TriangleMesh) -> BTreeMap<[u32; 2], Vec<(usize, u32)>> {
+    let mut edges: BTreeMap<[u32; 2], Vec<(usize, u32)>> = BTreeMap::new();
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        for k in 0..3 {
+            let (a, b, opposite) = (triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]);
+            edges.entry([a.min(b), a.max(b)]).or_default().push((t, opposite));
+        }
+    }
+    edges
+}
+
+/// All edges that have another diagonal beside them; four corners that are not convex in the image have none.
+fn flips(mesh: &TriangleMesh, pixels: &[Point2<f64>]) -> Vec<Flip> {
+    let flip = |sides: Vec<(usize, u32)>| {
+        let [(t, c), (s, d)] = sides[..] else { return None };
+        // The first triangle has the edge as a, b in its own sense.
+        let k = mesh.triangles[t].iter().position(|v| *v == c)?;
+        let (a, b) = (mesh.triangles[t][(k + 1) % 3], mesh.triangles[t][(k + 2) % 3]);
+        let after = [[c, a, d], [d, b, c]];
+        let sense = area(&mesh.triangles[t], pixels).signum();
+        let wide = |t: &[u32; 3]| sense * area(t, pixels) > NARROWEST * longest(t, pixels).powi(2);
+        let (triangles, before) = ([t, s], [mesh.triangles[t], mesh.triangles[s]]);
+        after.iter().all(wide).then_some(Flip { triangles, before, after })
+    };
+    edges(mesh).into_values().filter_map(flip).collect()
+}
+
+fn area(triangle: &[u32; 3], pixels: &[Point2<f64>]) -> f64 {
+    double_area(&triangle.map(|k| pixels[k as usize]))
+}
+
+fn longest(triangle: &[u32; 3], pixels: &[Point2<f64>]) -> f64 {
+    let [a, b, c] = triangle.map(|k| pixels[k as usize]);
+    (a - b).norm().max((b - c).norm()).max((c - a).norm())
+}
+
+/// Takes flips out of `open` that share no triangle.
+fn independent(open: &mut Vec<Flip>) -> Vec<Flip> {
+    let mut taken = BTreeSet::new();
+    open.extract_if(.., |flip| {
+        let free = flip.triangles.iter().all(|t| !taken.contains(t));
+        if free {
+            taken.extend(flip.triangles);
+        }
+        free
+    })
+    .collect()
+}
