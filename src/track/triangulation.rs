@@ -49,28 +49,26 @@ pub(super) fn improve(mesh: &mut TriangleMesh, images: &[TrainingImage], referen
     let view = &images[reference];
     let project = |x| view.camera.project(&view.camera_from_object.transform_point(x));
     let pixels: Vec<Point2<f64>> = mesh.vertices.iter().map(|x| project(x).unwrap_or_default()).collect();
-    let mut changed = 0;
     let before = agreements(mesh, images)?;
-    let mut open = flips(mesh, &pixels);
+    let (mut open, mut better) = (flips(mesh, &pixels), Vec::new());
     while !open.is_empty() {
         let batch = independent(&mut open);
         let mut other = mesh.clone();
         batch.iter().for_each(|flip| flip.apply(&mut other));
         let after = agreements(&other, images)?;
         for flip in batch {
-            let mean = |all: &[Agreement]| {
-                let [a, b] = flip.triangles.map(|t| all[t]);
-                (a.cost + b.cost) / (a.weight + b.weight)
-            };
-            if mean(&after) < (1.0 - LOWER_COST) * mean(&before) {
-                flip.apply(mesh);
-                changed += 1;
+            let [old, new] = [&before, &after].map(|all| flip.mean_cost(all));
+            if new < (1.0 - LOWER_COST) * old {
+                better.push((old - new, flip));
             }
         }
-        // Flips that shared a triangle with one that was made are no longer what they were.
-        open.retain(|flip| flip.still_fits(mesh));
     }
-    Ok(changed + trim(mesh, &agreements(mesh, images)?))
+    // A wrong diagonal makes those beside it look wrong too, but less.
+    better.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut better = better.into_iter().map(|(_, flip)| flip).collect();
+    let chosen = independent(&mut better);
+    chosen.iter().for_each(|flip| flip.apply(mesh));
+    Ok(chosen.len() + trim(mesh, &agreements(mesh, images)?))
 }
 
 /// Leaves out triangles of the outline that are not there; returns how many.
@@ -106,7 +104,6 @@ fn agreements(mesh: &TriangleMesh, images: &[TrainingImage]) -> Result<Vec<Agree
 #[derive(Debug, Clone)]
 struct Flip {
     triangles: [usize; 2],
-    before: [[u32; 3]; 2],
     after: [[u32; 3]; 2],
 }
 
@@ -117,8 +114,10 @@ impl Flip {
         }
     }
 
-    fn still_fits(&self, mesh: &TriangleMesh) -> bool {
-        self.triangles.map(|t| mesh.triangles[t]) == self.before
+    /// Mean squared residual of its triangles, grey levels squared.
+    fn mean_cost(&self, agreements: &[Agreement]) -> f64 {
+        let [a, b] = self.triangles.map(|t| agreements[t]);
+        (a.cost + b.cost) / (a.weight + b.weight)
     }
 }
 
@@ -144,8 +143,7 @@ fn flips(mesh: &TriangleMesh, pixels: &[Point2<f64>]) -> Vec<Flip> {
         let after = [[c, a, d], [d, b, c]];
         let sense = area(&mesh.triangles[t], pixels).signum();
         let wide = |t: &[u32; 3]| sense * area(t, pixels) > NARROWEST * longest(t, pixels).powi(2);
-        let (triangles, before) = ([t, s], [mesh.triangles[t], mesh.triangles[s]]);
-        after.iter().all(wide).then_some(Flip { triangles, before, after })
+        after.iter().all(wide).then_some(Flip { triangles: [t, s], after })
     };
     edges(mesh).into_values().filter_map(flip).collect()
 }
@@ -159,7 +157,7 @@ fn longest(triangle: &[u32; 3], pixels: &[Point2<f64>]) -> f64 {
     (a - b).norm().max((b - c).norm()).max((c - a).norm())
 }
 
-/// Takes flips out of `open` that share no triangle.
+/// Takes flips out of `open` that share no triangle, the first ones first.
 fn independent(open: &mut Vec<Flip>) -> Vec<Flip> {
     let mut taken = BTreeSet::new();
     open.extract_if(.., |flip| {
