@@ -169,3 +169,62 @@ fn independent(open: &mut Vec<Flip>) -> Vec<Flip> {
     })
     .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Camera, Pose};
+    use crate::simulate::{Renderer, View, relief};
+    use nalgebra::{Rotation3, Vector3, center};
+
+    fn images() -> Vec<TrainingImage> {
+        let camera = Camera::pinhole(400.0, 400.0, 159.5, 119.5, 320, 240);
+        let renderer = Renderer::new(relief(1), camera).unwrap();
+        let image = |k: u32| {
+            let a = f64::from(k) * 2.4;
+            let turn = Rotation3::new(Vector3::new(0.4 * a.cos(), 0.4 * a.sin(), 0.1));
+            let camera_from_object = Pose::new(turn, Vector3::new(0.0, 0.0, 0.5));
+            let image = renderer.render_view(&View { pose: camera_from_object, ..View::default() });
+            TrainingImage { image, camera, camera_from_object }
+        };
+        (0..5).map(image).collect()
+    }
+
+    /// Of all diagonals the one whose change moves the surface most.
+    fn most(mesh: &TriangleMesh, flips: Vec<Flip>) -> Flip {
+        let gap = |flip: &Flip| {
+            let [[c, a, d], [_, b, _]] = flip.after;
+            let [a, b, c, d] = [a, b, c, d].map(|k| mesh.vertices[k as usize]);
+            (center(&a, &b) - center(&c, &d)).z.abs()
+        };
+        flips.into_iter().max_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap()
+    }
+
+    #[test]
+    fn a_wrong_diagonal_is_put_right() {
+        let (images, truth) = (images(), relief(1).mesh);
+        let view = &images[0];
+        let pixel = |x| view.camera.project(&view.camera_from_object.transform_point(x)).unwrap();
+        let pixels: Vec<Point2<f64>> = truth.vertices.iter().map(pixel).collect();
+        let mut mesh = truth.clone();
+        most(&truth, flips(&truth, &pixels)).apply(&mut mesh);
+        let keys = |mesh: &TriangleMesh| edges(mesh).into_keys().collect::<BTreeSet<_>>();
+        assert_eq!(keys(&mesh).difference(&keys(&truth)).count(), 1, "one is wrong");
+        assert!(improve(&mut mesh, &images, 0).unwrap() >= 1, "changed");
+        assert_eq!(keys(&mesh), keys(&truth), "as it was");
+    }
+
+    #[test]
+    fn only_the_outline_is_trimmed() {
+        let mut mesh = relief(1).mesh;
+        let mut all =
+            vec![Agreement { belief: 5.0, images: 5.0, ..Agreement::default() }; mesh.triangles.len()];
+        let outer: BTreeSet<usize> = edges(&mesh).values().filter(|s| s.len() == 1).map(|s| s[0].0).collect();
+        let inner = (0..all.len()).find(|t| !outer.contains(t)).unwrap();
+        let rim = *outer.first().unwrap();
+        (all[inner].belief, all[rim].belief) = (0.5, 3.0);
+        let gone = mesh.triangles[rim];
+        assert_eq!(trim(&mut mesh, &all), 1, "one triangle");
+        assert!(!mesh.triangles.contains(&gone), "that of the outline");
+    }
+}
