@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector3, Vector6};
 use super::vertices::MovingVertex;
 use super::workspace::reset_matrix;
 use crate::backend::{LinearRow, SumsRow};
+use crate::geometry::{Camera, Pose};
 use crate::model::{ChartGeometry, LevelTemplate};
 
 /// Triangles are back-facing or edge-on where det A falls below this share of its value |A|^2 / 2 for a warp that
@@ -24,12 +25,7 @@ pub(super) struct CornerMotion {
 impl CornerMotion {
     /// Motion of the corners of a triangle with their chart; `None` if it is back-facing or edge-on.
     pub(super) fn new(corners: [&MovingVertex; 3], g: &ChartGeometry) -> Option<Self> {
-        let projected = Matrix2x3::from_columns(&corners.map(|c| c.image.coords));
-        let a: Matrix2<f64> = projected * g.barycentric.fixed_columns::<2>(0);
-        if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 {
-            return None;
-        }
-        let inverse = a.try_inverse()?;
+        let inverse = chart_from_image(&Matrix2x3::from_columns(&corners.map(|c| c.image.coords)), g)?;
         let zero = Matrix6::zeros();
         let mut motion = Self { image: zero, template: zero };
         for (k, corner) in corners.iter().enumerate() {
@@ -38,6 +34,27 @@ impl CornerMotion {
         }
         Some(motion)
     }
+}
+
+/// The corners of a triangle in the image, pixels; `None` if one of them is behind the camera.
+pub(super) fn projected_corners(camera: &Camera, pose: &Pose, g: &ChartGeometry) -> Option<Matrix2x3<f64>> {
+    let mut projected = Matrix2x3::zeros();
+    for (mut corner, x) in projected.column_iter_mut().zip(&g.points) {
+        corner.copy_from(&camera.project(&pose.transform_point(x))?.coords);
+    }
+    Some(projected)
+}
+
+/// A: the affine map of a triangle from its chart to `projected` corners, 2x2.
+pub(super) fn image_from_chart(projected: &Matrix2x3<f64>, g: &ChartGeometry) -> Matrix2<f64> {
+    projected * g.barycentric.fixed_columns::<2>(0)
+}
+
+/// `A^-1`: how a position in the chart moves with its position in the image, where the corners are at `projected`; `None` if
+/// the triangle is back-facing or edge-on.
+pub(super) fn chart_from_image(projected: &Matrix2x3<f64>, g: &ChartGeometry) -> Option<Matrix2<f64>> {
+    let a = image_from_chart(projected, g);
+    if a.determinant() < MIN_DETERMINANT * a.norm_squared() / 2.0 { None } else { a.try_inverse() }
 }
 
 /// sum q x f from the kernels' low-rank sums of x g (u, v, 1): b_a is linear in (u, v, 1).

@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use nalgebra::{Matrix2x3, Matrix3};
+use nalgebra::Matrix3;
 
 use super::covariance::covariance;
-use super::derivative::SecondRows;
+use super::derivative::{SecondRows, image_from_chart, projected_corners};
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::score::Score;
@@ -166,11 +166,7 @@ pub(super) struct Evaluation {
 fn is_open(target: &Target<'_>, pose: &Pose, triangle: usize) -> bool {
     let affine = || {
         let geometry = target.model.levels[0].geometry[triangle].as_ref()?;
-        let mut projected = Matrix2x3::zeros();
-        for (mut corner, x) in projected.column_iter_mut().zip(&geometry.points) {
-            corner.copy_from(&target.camera.project(&pose.transform_point(x))?.coords);
-        }
-        Some(projected * geometry.barycentric.fixed_columns::<2>(0))
+        Some(image_from_chart(&projected_corners(&target.camera, pose, geometry)?, geometry))
     };
     // With singular values s1 >= s2: |det A| = s1 s2 and |A|^2 = s1^2 + s2^2, and s1 s2 / (s1^2 + s2^2) grows with s2 / s1.
     let least = MIN_ASPECT / (1.0 + MIN_ASPECT * MIN_ASPECT);

@@ -6,9 +6,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use image::GrayImage;
 
-use crate::dataset::{Annotations, Dataset, FrameInfo, PoseSource, Scene};
+use crate::dataset::stereo::Clicks;
+use crate::dataset::{Annotations, Dataset, FrameInfo, PoseSource, Scene, StereoCalibration};
 use crate::geometry::Pose;
+use crate::geometry::stereo::ClickPair;
 use crate::imaging::{Rectifier, gray};
+use crate::track::StereoPair;
 use crate::train::TrainingImage;
 use crate::train::annotated::AnnotatedImage;
 
@@ -95,4 +98,25 @@ pub(super) fn training_images(
         })
     };
     frames.iter().map(image).collect()
+}
+
+/// The stereo pair in which `names` were clicked, with what its clicks are worth.
+pub(super) fn stereo_pair(
+    dataset: &Path,
+    calibration: &StereoCalibration,
+    clicks: &Clicks,
+    sigma_px: f64,
+    names: &[String],
+) -> anyhow::Result<StereoPair> {
+    let frames =
+        clicks.frames.context("clicks: left_frame and right_frame are missing; say which were clicked")?;
+    let image = |scene: u32, frame: u32| read(find(&open(dataset, scene)?.1, frame)?);
+    let left = image(calibration.left_scene, frames[0])?;
+    let right = image(calibration.right_scene, frames[1])?;
+    let click = |name: &String| {
+        let found = clicks.pairs.iter().find(|p| p.name == *name).cloned();
+        found.with_context(|| format!("clicks: the landmark {name:?} is missing"))
+    };
+    let clicks: anyhow::Result<Vec<ClickPair>> = names.iter().map(click).collect();
+    Ok(StereoPair::new(&calibration.rig, [left, right], &clicks?, sigma_px)?)
 }

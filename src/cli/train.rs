@@ -6,14 +6,15 @@ use anyhow::Context;
 use serde::Serialize;
 
 use super::details::{self, Details};
-use super::frames::{SceneArgs, annotated_images, training_images};
+use super::frames::{self, SceneArgs, annotated_images, training_images};
 use super::summary::JsonArg;
+use crate::dataset::stereo::{read_clicks, read_stereo};
 use crate::dataset::{Dataset, PoseSource, Scene, landmarks};
 use crate::geometry::pnp::PnpSolution;
 use crate::model::Model;
-use crate::track::realign::{REALIGNMENTS, train_realigned};
-use crate::track::{Status, calibrate};
-use crate::train::annotated::{self, AnnotationOptions, Refinement};
+use crate::track::annotated::prepare;
+use crate::track::{Status, StereoPair, calibrate};
+use crate::train::annotated::{AnnotationOptions, Refinement};
 use crate::train::{TrainOptions, TrainingImage, extend, train};
 
 /// A model is extended from poses at least this certain: standard deviation per axis in the camera frame.
@@ -38,6 +39,12 @@ pub(super) struct Args {
     /// Positions of the landmarks (landmarks.json, as `aam6d landmarks` writes it)
     #[arg(long, value_name = "FILE", requires = "annotations")]
     landmarks: Option<PathBuf>,
+    /// Calibration of the stereo pair that the landmarks were clicked in (stereo.json): its images say how large they are
+    #[arg(long, value_name = "FILE", requires_all = ["clicks", "annotations"], conflicts_with = "no_refine")]
+    stereo: Option<PathBuf>,
+    /// The clicks in that pair (clicks.json)
+    #[arg(long, value_name = "FILE", requires = "stereo")]
+    clicks: Option<PathBuf>,
     /// Refuse annotations further than this from where their landmark should be
     #[arg(long, value_name = "PX", default_value_t = AnnotationOptions::default().max_distance_px)]
     max_annotation_error: f64,
@@ -98,14 +105,17 @@ struct Refined {
     moved_mm: f64,
     sigma_before_mm: f64,
     sigma_after_mm: f64,
+    /// Triangles with another diagonal than Delaunay's, and those left out.
+    triangles_changed: usize,
 }
 
-impl From<Refinement> for Refined {
-    fn from(r: Refinement) -> Self {
+impl Refined {
+    fn new(r: Refinement, triangles_changed: usize) -> Self {
         Self {
             moved_mm: r.moved * 1000.0,
             sigma_before_mm: r.sigma_before * 1000.0,
             sigma_after_mm: r.sigma_after * 1000.0,
+            triangles_changed,
         }
     }
 }
@@ -174,6 +184,14 @@ impl Args {
         Ok(Trained { model, images, fit: Fit::default() })
     }
 
+    /// The pair that was clicked in, if it is given.
+    fn stereo_pair(&self, names: &[String], sigma_px: f64) -> anyhow::Result<Option<StereoPair>> {
+        let Some((stereo, clicks)) = self.stereo.as_ref().zip(self.clicks.as_ref()) else { return Ok(None) };
+        let (calibration, clicks) = (read_stereo(stereo)?, read_clicks(clicks)?);
+        let sigma_px = clicks.sigma_px.unwrap_or(sigma_px);
+        frames::stereo_pair(&self.scene.dataset, &calibration, &clicks, sigma_px, names).map(Some)
+    }
+
     /// Poses and mesh from the landmarks.
     fn train_annotated(&self, scene: &Scene, annotations: &Path, shape: &Path) -> anyhow::Result<Trained> {
         let annotations_file = landmarks::read_annotations(annotations)?;
@@ -190,18 +208,18 @@ impl Args {
             sigma_px: annotations_file.sigma_px.unwrap_or(default.sigma_px),
             refine: !self.no_refine,
         };
-        let posed =
-            annotated::pose(&shape, images, &options).with_context(|| annotations.display().to_string())?;
-        let passes = if self.no_refine { 0 } else { REALIGNMENTS };
-        let trained = train_realigned(&posed.mesh, posed.images, &self.options(), passes)?;
+        let pair = self.stereo_pair(&annotations_file.names, options.sigma_px)?;
+        let ready = prepare(&shape, pair.as_ref(), images, &options)
+            .with_context(|| annotations.display().to_string())?;
+        let model = train(&ready.mesh, &ready.images, &self.options())?;
         let fit = |((&frame, fit), &moved_px): ((&u32, &PnpSolution), &f64)| Annotated {
             frame,
             rms_px: fit.rms_px,
             moved_px,
         };
-        let annotations = frames.iter().zip(&posed.fits).zip(&trained.moved_px).map(fit).collect();
-        let fit = (annotations, posed.refinement.map(Refined::from));
-        Ok(Trained { model: trained.model, images: trained.images, fit })
+        let annotations = frames.iter().zip(&ready.fits).zip(&ready.moved_px).map(fit).collect();
+        let fit = (annotations, ready.refinement.map(|r| Refined::new(r, ready.triangles_changed)));
+        Ok(Trained { model, images: ready.images, fit })
     }
 }
 
@@ -269,8 +287,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some(r) = &s.refinement {
         text += &format!(
-            "\nlandmarks moved by {:.3} mm rms per axis; standard deviation {:.3} mm before, {:.3} mm after",
-            r.moved_mm, r.sigma_before_mm, r.sigma_after_mm
+            "\nlandmarks moved by {:.3} mm rms per axis; standard deviation {:.3} mm before, {:.3} mm after; {} \
+             triangles changed",
+            r.moved_mm, r.sigma_before_mm, r.sigma_after_mm, r.triangles_changed
         );
     }
     args.json.write(&text, &s)

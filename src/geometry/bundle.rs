@@ -3,30 +3,29 @@
 //! Minimises over poses `P_i` and points `X_k` the squared deviations, each in units of its standard deviation:
 //!
 //! ```text
-//! E = sum_ik |project(P_i X_k) - u_ik|^2 / sigma^2 + sum_k (X_k - X0_k)^T C_k^-1 (X_k - X0_k)
+//! E = sum_ik |W_ik (project(P_i X_k) - u_ik)|^2 + sum_k (X_k - X0_k)^T C_k^-1 (X_k - X0_k)
 //! ```
 //!
-//! with pixels `u_ik`, their standard deviation `sigma` (pixels) and the prior `X0_k`, `C_k` (metres, square metres).
+//! with pixels `u_ik`, their covariance `(W^T W)^-1` (square pixels) and the prior `X0_k`, `C_k` (metres, square metres).
 //! The unknowns of a point are `w` in `X = X0 + L w`, `L L^T = C`: its prior is `|w|^2`, and an exact point (`C = 0`)
 //! stays. The poses are free; the object frame is where the prior likes it best. Levenberg-Marquardt; the points are
 //! eliminated (Schur complement), so the system has 6 unknowns per image.
 
-use std::ops::SubAssign;
+mod equations;
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Point2, Point3, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix3, Matrix6, Matrix6x3, Point2, Point3, SMatrix, Vector3, Vector6};
 
 use super::pose::skew;
 use super::rigid_fit::centroid;
 use super::{Camera, Pose};
 use crate::error::{Error, Result};
+use equations::{Equations, Step};
 
 const MAX_STEPS: usize = 100;
 const FIRST_DAMPING: f64 = 1e-3;
 const LARGEST_DAMPING: f64 = 1e10;
 /// A step that lowers the cost by a smaller share than this is the last.
 const CONVERGED: f64 = 1e-12;
-/// Scaled reduced normal equations with a smaller eigenvalue leave a pose open.
-const DEGENERATE: f64 = 1e-10;
 
 /// A point as it is known before the images are looked at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,15 +36,40 @@ pub struct Prior {
     pub covariance: Matrix3<f64>,
 }
 
-/// An image that shows all points.
+/// Where a point was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mark {
+    /// Pixel in the image as taken.
+    pub pixel: Point2<f64>,
+    /// `W`, `W^T W` being the inverse of the pixel's covariance: 1/pixels; zero where the point was not seen.
+    pub whitening: Matrix2<f64>,
+}
+
+impl Mark {
+    /// A pixel with the same standard deviation in both coordinates, pixels.
+    pub fn new(pixel: Point2<f64>, sigma_px: f64) -> Self {
+        Self { pixel, whitening: Matrix2::identity() / sigma_px }
+    }
+
+    /// Of a point that was not seen.
+    pub fn unseen() -> Self {
+        Self { pixel: Point2::origin(), whitening: Matrix2::zeros() }
+    }
+
+    fn is_finite(&self) -> bool {
+        self.pixel.iter().chain(&self.whitening).all(|v| v.is_finite())
+    }
+}
+
+/// An image of the points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sighting {
     /// The camera, with its lens.
     pub camera: Camera,
     /// First guess of the pose.
     pub camera_from_object: Pose,
-    /// One pixel per point, in the image as taken.
-    pub pixels: Vec<Point2<f64>>,
+    /// One per point.
+    pub marks: Vec<Mark>,
 }
 
 /// Points and poses that fit together.
@@ -57,13 +81,13 @@ pub struct Bundle {
     pub poses: Vec<Pose>,
 }
 
-/// Refines points and poses together; `sigma_px` is the standard deviation of the pixels per coordinate.
+/// Refines points and poses together.
 ///
 /// # Errors
-/// [`Error::Invalid`] for no image, fewer than 4 points, unequal counts, numbers that are not finite, a `sigma_px` that
-/// is not positive, a matrix that is no covariance, points behind a camera, and images whose pose is left open.
-pub fn refine(points: &[Prior], sightings: &[Sighting], sigma_px: f64) -> Result<Bundle> {
-    let problem = Problem::new(points, sightings, sigma_px)?;
+/// [`Error::Invalid`] for no image, fewer than 4 points, unequal counts, numbers that are not finite, a matrix that is
+/// no covariance, points behind a camera, and images whose pose is left open.
+pub fn refine(points: &[Prior], sightings: &[Sighting]) -> Result<Bundle> {
+    let problem = Problem::new(points, sightings)?;
     let mut state = State {
         w: vec![Vector3::zeros(); points.len()],
         poses: sightings.iter().map(|s| s.camera_from_object).collect(),
@@ -100,7 +124,6 @@ fn refused(problem: impl Into<String>, remedy: &str) -> Error {
 struct Problem<'a> {
     points: &'a [Prior],
     sightings: &'a [Sighting],
-    sigma_px: f64,
     /// `L` of every point, metres.
     roots: Vec<Matrix3<f64>>,
     /// Rotations are about this point.
@@ -112,29 +135,22 @@ struct State {
     poses: Vec<Pose>,
 }
 
-/// Change of every `w` and every pose (translation, rotation vector).
-struct Step {
-    w: Vec<Vector3<f64>>,
-    poses: Vec<Vector6<f64>>,
-}
-
 impl<'a> Problem<'a> {
-    fn new(points: &'a [Prior], sightings: &'a [Sighting], sigma_px: f64) -> Result<Self> {
+    fn new(points: &'a [Prior], sightings: &'a [Sighting]) -> Result<Self> {
         if sightings.is_empty() || points.len() < 4 {
             let problem = format!("{} points in {} images", points.len(), sightings.len());
             return Err(refused(problem, "give at least 4 points and one image"));
         }
-        if !(sigma_px.is_finite() && sigma_px > 0.0) {
-            return Err(refused(format!("a noise of {sigma_px} px"), "give a standard deviation above 0"));
-        }
         for (i, sighting) in sightings.iter().enumerate() {
-            let mut finite = sighting.pixels.iter().all(|p| p.iter().all(|v| v.is_finite()));
-            finite &= sighting.camera_from_object.is_finite();
-            let count = sighting.pixels.len();
+            let finite =
+                sighting.marks.iter().all(Mark::is_finite) && sighting.camera_from_object.is_finite();
+            let count = sighting.marks.len();
             if count != points.len() || !finite {
-                let problem = if finite { "the counts differ" } else { "a pixel or the pose is not finite" };
-                let problem = format!("image {i}: {} points, {count} pixels: {problem}", points.len());
-                return Err(refused(problem, "give a finite pose and one finite pixel per point"));
+                let problem = if finite { "the counts differ" } else { "a mark or the pose is not finite" };
+                let problem = format!("image {i}: {} points, {count} marks: {problem}", points.len());
+                let remedy =
+                    "give a finite pose and per point one finite pixel with a standard deviation above 0";
+                return Err(refused(problem, remedy));
             }
         }
         let roots: Option<Vec<Matrix3<f64>>> = points.iter().map(|p| root(&p.covariance)).collect();
@@ -144,7 +160,7 @@ impl<'a> Problem<'a> {
             return Err(refused(problem, "give finite positions and symmetric, non-negative matrices"));
         };
         let centre = centroid(&points.iter().map(|p| p.position).collect::<Vec<_>>());
-        Ok(Self { points, sightings, sigma_px, roots, centre })
+        Ok(Self { points, sightings, roots, centre })
     }
 
     fn point(&self, state: &State, k: usize) -> Point3<f64> {
@@ -157,8 +173,9 @@ impl<'a> Problem<'a> {
         for k in 0..self.points.len() {
             let x = self.point(state, k);
             for (sighting, pose) in self.sightings.iter().zip(&state.poses) {
-                let off = sighting.camera.project(&pose.transform_point(&x))? - sighting.pixels[k];
-                cost += off.norm_squared() / (self.sigma_px * self.sigma_px);
+                let mark = &sighting.marks[k];
+                let off = sighting.camera.project(&pose.transform_point(&x))? - mark.pixel;
+                cost += (mark.whitening * off).norm_squared();
             }
         }
         cost.is_finite().then_some(cost)
@@ -180,8 +197,9 @@ impl<'a> Problem<'a> {
             for (i, (sighting, pose)) in self.sightings.iter().zip(&state.poses).enumerate() {
                 let seen = pose.transform_point(&x);
                 let Some(pixel) = sighting.camera.project(&seen) else { continue };
-                let residual = (pixel - sighting.pixels[k]) / self.sigma_px;
-                let by_x = sighting.camera.project_jacobian(&seen) * pose.rotation() / self.sigma_px;
+                let Mark { pixel: seen_at, whitening } = sighting.marks[k];
+                let residual = whitening * (pixel - seen_at);
+                let by_x = whitening * sighting.camera.project_jacobian(&seen) * pose.rotation();
                 let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
                 by_pose.fixed_columns_mut::<3>(0).copy_from(&by_x);
                 by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_x * lever));
@@ -229,72 +247,6 @@ fn root(covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     valid.then(|| eigen.eigenvectors * Matrix3::from_diagonal(&roots))
 }
 
-/// Normal equations in blocks: poses, points, and between them (`mixed[i][k]`).
-struct Equations {
-    pose: Vec<Matrix6<f64>>,
-    pose_gradient: Vec<Vector6<f64>>,
-    point: Vec<Matrix3<f64>>,
-    point_gradient: Vec<Vector3<f64>>,
-    mixed: Vec<Vec<Matrix6x3<f64>>>,
-}
-
-impl Equations {
-    /// `S = U - W V^-1 W^T` and `a - W V^-1 b`, `inverses` being `V^-1`.
-    fn reduced(&self, pose: &[Matrix6<f64>], inverses: &[Matrix3<f64>]) -> (DMatrix<f64>, DVector<f64>) {
-        let size = 6 * pose.len();
-        let (mut s, mut g) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        for (i, pose) in pose.iter().enumerate() {
-            s.fixed_view_mut::<6, 6>(6 * i, 6 * i).copy_from(pose);
-            g.fixed_rows_mut::<6>(6 * i).copy_from(&self.pose_gradient[i]);
-            for (k, inverse) in inverses.iter().enumerate() {
-                let left = self.mixed[i][k] * inverse;
-                g.fixed_rows_mut::<6>(6 * i).sub_assign(left * self.point_gradient[k]);
-                for j in 0..self.pose.len() {
-                    s.fixed_view_mut::<6, 6>(6 * i, 6 * j).sub_assign(left * self.mixed[j][k].transpose());
-                }
-            }
-        }
-        (s, g)
-    }
-
-    /// The damped step: every diagonal entry is enlarged by the share `damping`.
-    fn step(&self, damping: f64) -> Option<Step> {
-        let inverse = |v: &Matrix3<f64>| (v + Matrix3::from_diagonal(&v.diagonal()) * damping).try_inverse();
-        let inverses: Vec<Matrix3<f64>> = self.point.iter().map(inverse).collect::<Option<_>>()?;
-        let pose = |u: &Matrix6<f64>| u + Matrix6::from_diagonal(&u.diagonal()) * damping;
-        let poses: Vec<Matrix6<f64>> = self.pose.iter().map(pose).collect();
-        let (s, g) = self.reduced(&poses, &inverses);
-        let d = -s.cholesky()?.solve(&g);
-        let poses: Vec<Vector6<f64>> = (0..poses.len()).map(|i| d.fixed_rows::<6>(6 * i).into()).collect();
-        let point = |(k, inverse): (usize, &Matrix3<f64>)| {
-            let pull = |sum: Vector3<f64>, (i, d): (usize, &Vector6<f64>)| sum + self.mixed[i][k].tr_mul(d);
-            -inverse * poses.iter().enumerate().fold(self.point_gradient[k], pull)
-        };
-        Some(Step { w: inverses.iter().enumerate().map(point).collect(), poses })
-    }
-
-    /// Covariance of every `w`: `V^-1 + V^-1 W^T S^-1 W V^-1`; `None` if a pose is open.
-    fn covariances(&self) -> Option<Vec<Matrix3<f64>>> {
-        let inverses: Vec<Matrix3<f64>> =
-            self.point.iter().map(|v| v.try_inverse()).collect::<Option<_>>()?;
-        let (s, _) = self.reduced(&self.pose, &inverses);
-        let scale = DVector::from_fn(s.nrows(), |j, _| 1.0 / self.pose[j / 6][(j % 6, j % 6)].sqrt());
-        let scaled = DMatrix::from_fn(s.nrows(), s.ncols(), |i, j| s[(i, j)] * scale[i] * scale[j]);
-        let determined =
-            scaled.iter().all(|v| v.is_finite()) && scaled.symmetric_eigenvalues().min() > DEGENERATE;
-        let factor = s.cholesky().filter(|_| determined)?;
-        let left = |(k, inverse): (usize, &Matrix3<f64>)| {
-            let mut w = DMatrix::zeros(6 * self.pose.len(), 3);
-            for i in 0..self.pose.len() {
-                w.fixed_rows_mut::<6>(6 * i).copy_from(&self.mixed[i][k]);
-            }
-            let spread = w.tr_mul(&factor.solve(&w));
-            inverse + inverse * spread.fixed_view::<3, 3>(0, 0) * inverse
-        };
-        Some(inverses.iter().enumerate().map(left).collect())
-    }
-}
-
 #[cfg(test)]
-#[path = "bundle_tests.rs"]
+#[path = "bundle/tests.rs"]
 mod tests;

@@ -1,7 +1,8 @@
 //! A calibrated pair of cameras: corresponding clicks become points with covariance (section 3.1 of the paper).
 
-use nalgebra::{DVector, Matrix3, Point2, Point3, SMatrix, SVector, Vector3};
+use nalgebra::{DVector, Matrix3, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 
+use super::bundle::Mark;
 use super::least_squares::minimise;
 use super::pose::skew;
 use super::{Camera, Pose};
@@ -97,19 +98,34 @@ impl StereoRig {
     /// # Errors
     /// [`Error::Invalid`] naming the pair if its lines of sight do not meet in front of both cameras.
     pub fn triangulate(&self, pair: &ClickPair, sigma_px: f64) -> Result<StereoPoint> {
+        let marks = [pair.left, pair.right].map(|pixel| Mark::new(pixel, sigma_px));
+        self.triangulate_marks(&pair.name, &marks)
+    }
+
+    /// As [`Self::triangulate`] with a covariance of its own for each of the two pixels, left and right: least squares of
+    /// the whitened distances.
+    ///
+    /// # Errors
+    /// As [`Self::triangulate`].
+    pub fn triangulate_marks(&self, name: &str, marks: &[Mark; 2]) -> Result<StereoPoint> {
         let refuse = |problem: &str| {
-            let what = format!("landmark {:?}", pair.name);
+            let what = format!("landmark {name:?}");
             Err(Error::invalid(what, problem, "click the same point in both images"))
         };
-        let (Some(left), Some(right)) = (self.left.ray(&pair.left), self.right.ray(&pair.right)) else {
+        let [at_left, at_right] = marks.map(|m| m.pixel);
+        let (Some(left), Some(right)) = (self.left.ray(&at_left), self.right.ray(&at_right)) else {
             return refuse("a click is outside of what the lens model covers");
         };
         let Some(start) = self.linear(&left, &right) else {
             return refuse("its lines of sight are parallel");
         };
+        let distances = |x: &Point3<f64>| {
+            let left = self.left.project(x)? - at_left;
+            Some([left, self.right.project(&self.right_from_left.transform_point(x))? - at_right])
+        };
         let residuals = |x: &Point3<f64>| {
-            let left = self.left.project(x)? - pair.left;
-            let right = self.right.project(&self.right_from_left.transform_point(x))? - pair.right;
+            let [left, right] = distances(x)?;
+            let (left, right) = (marks[0].whitening * left, marks[1].whitening * right);
             Some(DVector::from_vec(vec![left.x, left.y, right.x, right.y]))
         };
         let fit = minimise(start, 3, |x, d| x + Vector3::new(d[0], d[1], d[2]), residuals);
@@ -119,11 +135,8 @@ impl StereoRig {
         let Some(inverse) = fit.normal.fixed_view::<3, 3>(0, 0).into_owned().try_inverse() else {
             return refuse("its lines of sight are parallel");
         };
-        Ok(StereoPoint {
-            position: fit.state,
-            covariance: inverse * sigma_px * sigma_px,
-            rms_px: (fit.residuals.norm_squared() / 2.0).sqrt(),
-        })
+        let squares = distances(&fit.state).map_or(f64::NAN, |d| d.iter().map(Vector2::norm_squared).sum());
+        Ok(StereoPoint { position: fit.state, covariance: inverse, rms_px: (squares / 2.0).sqrt() })
     }
 
     /// Triangulates all pairs; they must agree with the calibration.

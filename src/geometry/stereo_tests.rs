@@ -50,7 +50,7 @@ fn noise_has_the_predicted_covariance() {
     for _ in 0..n {
         let mut noisy = pair(&rig, &x);
         for click in [&mut noisy.left, &mut noisy.right] {
-            *click += nalgebra::Vector2::new(normal(&mut rng), normal(&mut rng)) * sigma;
+            *click += Vector2::new(normal(&mut rng), normal(&mut rng)) * sigma;
         }
         let point = rig.triangulate(&noisy, sigma).expect("a point");
         let e = point.position - x;
@@ -72,7 +72,7 @@ fn the_epipolar_distance_is_in_pixels() {
     )
     .expect("a rig");
     let mut pair = pair(&rig, &Point3::new(0.05, -0.04, 0.6));
-    pair.right += nalgebra::Vector2::new(4.0, 3.0);
+    pair.right += Vector2::new(4.0, 3.0);
     let distance = rig.epipolar_px(&pair).expect("pinholes");
     assert!((distance - 3.0).abs() < 1e-9, "along the line does not count: {distance}");
 }

@@ -1,15 +1,19 @@
 //! A sequence of frames: prediction, alignment, loss.
 
+pub mod annotated;
 mod batch;
 mod calibrate;
 mod course;
 mod locate;
+mod pair;
 mod prediction;
-pub mod realign;
+mod realign;
 mod result;
 mod rig;
 mod search;
 pub mod smooth;
+mod survey;
+mod triangulation;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -27,6 +31,7 @@ use prediction::Motion;
 use search::Search;
 
 pub use calibrate::calibrate;
+pub use pair::StereoPair;
 pub use result::{FrameTimes, Status, Tracked};
 pub use rig::{RigCamera, RigTracker};
 pub use search::SearchOptions;

@@ -7,7 +7,7 @@
 use super::Tracker;
 use crate::align::{InverseCompositional, Start};
 use crate::backend::CpuBackend;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::geometry::distance::rms_px;
 use crate::geometry::{Pose, TriangleMesh};
 use crate::model::Model;
@@ -16,45 +16,20 @@ use crate::train::{TrainOptions, TrainingImage, train};
 /// An image whose vertices move further than this (root mean square) keeps its pose, pixels.
 const MAX_MOVE_PX: f64 = 3.0;
 
-/// How often annotated images are aligned with the model of all of them; the third time changes little.
-pub const REALIGNMENTS: usize = 2;
-
-/// A model after several passes.
-#[derive(Debug, Clone)]
-pub struct Realigned {
-    /// The model of the last pass.
-    pub model: Model,
-    /// How far the vertices moved in each training image from its first pose, root mean square, pixels.
-    pub moved_px: Vec<f64>,
-    /// The training images with the poses of the last pass.
-    pub images: Vec<TrainingImage>,
-}
-
-/// Trains `passes` times and once more: between, every image is aligned with the model so far. Poses in which the object
-/// is not found, or far from where it was, stay.
+/// Aligns images with the model of all of them, `passes` times. Poses in which the object is not found, or far from where
+/// it was, stay.
 ///
 /// # Errors
 /// As [`train`], and those of [`Tracker::align`].
-pub fn train_realigned(
-    mesh: &TriangleMesh,
-    mut images: Vec<TrainingImage>,
-    options: &TrainOptions,
-    passes: usize,
-) -> Result<Realigned> {
-    let first: Vec<Pose> = images.iter().map(|i| i.camera_from_object).collect();
-    let plain = TrainOptions { modes: 0, ..options.clone() };
+pub(super) fn realign(mesh: &TriangleMesh, images: &mut [TrainingImage], passes: usize) -> Result<()> {
     for _ in 0..passes {
-        realign(train(mesh, &images, &plain)?, mesh, &mut images)?;
+        align_with(train(mesh, images, &TrainOptions::default())?, mesh, images)?;
     }
-    let moved = |(image, first): (&TrainingImage, &Pose)| moved_px(mesh, image, first);
-    let moved_px = images.iter().zip(&first).map(moved).collect();
-    Ok(Realigned { model: train(mesh, &images, options)?, moved_px, images })
+    Ok(())
 }
 
-fn realign(model: Model, mesh: &TriangleMesh, images: &mut [TrainingImage]) -> Result<()> {
-    let Some(first) = images.first() else {
-        return Err(Error::invalid("training", "there is no image", "name at least one frame"));
-    };
+fn align_with(model: Model, mesh: &TriangleMesh, images: &mut [TrainingImage]) -> Result<()> {
+    let Some(first) = images.first() else { return Ok(()) };
     let aligner = Box::new(InverseCompositional::default());
     let mut tracker = Tracker::new(model, first.camera, Box::new(CpuBackend::new()), aligner)?;
     for image in images {
@@ -69,7 +44,7 @@ fn realign(model: Model, mesh: &TriangleMesh, images: &mut [TrainingImage]) -> R
 }
 
 /// Distance between the vertices as seen from the image's pose and from another one, root mean square.
-fn moved_px(mesh: &TriangleMesh, image: &TrainingImage, other: &Pose) -> f64 {
+pub(super) fn moved_px(mesh: &TriangleMesh, image: &TrainingImage, other: &Pose) -> f64 {
     rms_px(&image.camera, &mesh.vertices, &image.camera_from_object, other).unwrap_or(f64::INFINITY)
 }
 
@@ -114,10 +89,7 @@ mod tests {
         let (truth, mut images) = views();
         let mesh = relief(1).mesh;
         let before = disagreement(&truth, &images);
-        for _ in 0..2 {
-            let model = train(&mesh, &images, &TrainOptions::default()).unwrap();
-            realign(model, &mesh, &mut images).unwrap();
-        }
+        realign(&mesh, &mut images, 2).unwrap();
         let after = disagreement(&truth, &images);
         assert!(before > 0.15 && after < before / 3.0, "{before} to {after} degrees");
     }
@@ -126,15 +98,17 @@ mod tests {
     fn passes_are_counted_and_what_is_not_found_stays() {
         let (truth, mut images) = views();
         let mesh = relief(1).mesh;
-        let none = train_realigned(&mesh, images.clone(), &TrainOptions::default(), 0).unwrap();
-        assert!(none.moved_px.iter().all(|m| *m == 0.0), "{:?}", none.moved_px);
+        let mut none = images.clone();
+        realign(&mesh, &mut none, 0).unwrap();
+        let stays = |(a, b): (&TrainingImage, &TrainingImage)| a.camera_from_object == b.camera_from_object;
+        assert!(none.iter().zip(&images).all(stays), "no pass");
         let grey = image::GrayImage::from_pixel(320, 240, image::Luma([90]));
         images.truncate(2);
         let model = train(&mesh, &images, &TrainOptions::default()).unwrap();
         images[1].image = grey;
         let before = images[1].camera_from_object;
-        realign(model, &mesh, &mut images).unwrap();
+        align_with(model, &mesh, &mut images).unwrap();
         assert_eq!(images[1].camera_from_object, before, "nothing to see");
-        assert!(truth.len() == 6 && realign(none.model, &mesh, &mut []).is_err(), "no image");
+        assert!(truth.len() == 6 && realign(&mesh, &mut [], 1).is_err(), "no image");
     }
 }

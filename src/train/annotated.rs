@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use super::TrainingImage;
 use crate::dataset::Landmark;
 use crate::error::{Error, Result};
-use crate::geometry::bundle::{self, Prior, Sighting};
+use crate::geometry::bundle::{self, Mark, Prior, Sighting};
 use crate::geometry::mesh::delaunay;
 use crate::geometry::pnp::{self, PnpSolution};
 use crate::geometry::{Camera, Pose, TriangleMesh};
@@ -29,6 +29,15 @@ pub struct AnnotatedImage {
     pub camera: Camera,
     /// One pixel per landmark.
     pub landmarks: Vec<Point2<f64>>,
+}
+
+impl AnnotatedImage {
+    /// The annotations as marks in the rectified image; those that the lens model does not cover count as not seen.
+    pub fn rectified_marks(&self, sigma_px: f64) -> Vec<Mark> {
+        let (pinhole, unseen) = (self.camera.rectified(), Mark::unseen());
+        let rectify = |pixel| pinhole.project(&self.camera.ray(pixel)?.into());
+        self.landmarks.iter().map(|p| rectify(p).map_or(unseen, |p| Mark::new(p, sigma_px))).collect()
+    }
 }
 
 /// What annotations are believed.
@@ -57,6 +66,17 @@ pub struct Refinement {
     pub sigma_before: f64,
     /// And after.
     pub sigma_after: f64,
+}
+
+impl Refinement {
+    /// From what was known to what is.
+    pub fn between(before: &[Prior], after: &[Prior]) -> Self {
+        #[expect(clippy::cast_precision_loss, reason = "landmark counts are far below 2^52")]
+        let rms = |squares: f64| (squares / (3 * before.len()) as f64).sqrt();
+        let spread = |points: &[Prior]| points.iter().map(|p| p.covariance.trace()).sum();
+        let moved = before.iter().zip(after).map(|(a, b)| (a.position - b.position).norm_squared()).sum();
+        Self { moved: rms(moved), sigma_before: rms(spread(before)), sigma_after: rms(spread(after)) }
+    }
 }
 
 /// Annotated images made ready for [`super::train`].
@@ -117,31 +137,26 @@ fn refine(
     shape: &mut [Point3<f64>],
     fits: &mut [PnpSolution],
 ) -> Result<Refinement> {
-    let prior = |l: &Landmark| Prior { position: l.position, covariance: l.covariance };
-    let priors: Vec<Prior> = landmarks.iter().map(prior).collect();
+    let priors = priors(landmarks);
     let sighting = |(image, fit): (&AnnotatedImage, &PnpSolution)| Sighting {
         camera: image.camera,
         camera_from_object: fit.camera_from_object,
-        pixels: image.landmarks.clone(),
+        marks: image.landmarks.iter().map(|p| Mark::new(*p, sigma_px)).collect(),
     };
     let sightings: Vec<Sighting> = images.iter().zip(fits.iter()).map(sighting).collect();
-    let bundle = bundle::refine(&priors, &sightings, sigma_px)?;
+    let bundle = bundle::refine(&priors, &sightings)?;
     for (x, point) in shape.iter_mut().zip(&bundle.points) {
         *x = point.position;
     }
     for ((fit, pose), image) in fits.iter_mut().zip(&bundle.poses).zip(images) {
         *fit = PnpSolution::of(*pose, &image.camera, shape, &image.landmarks);
     }
-    #[expect(clippy::cast_precision_loss, reason = "landmark counts are far below 2^52")]
-    let rms = |squares: f64| (squares / (3 * priors.len()) as f64).sqrt();
-    let moved =
-        bundle.points.iter().zip(&priors).map(|(a, b)| (a.position - b.position).norm_squared()).sum();
-    let spread = |points: &[Prior]| points.iter().map(|p| p.covariance.trace()).sum();
-    Ok(Refinement {
-        moved: rms(moved),
-        sigma_before: rms(spread(&priors)),
-        sigma_after: rms(spread(&bundle.points)),
-    })
+    Ok(Refinement::between(&priors, &bundle.points))
+}
+
+/// The landmarks as a bundle adjustment takes them.
+pub fn priors(landmarks: &[Landmark]) -> Vec<Prior> {
+    landmarks.iter().map(|l| Prior { position: l.position, covariance: l.covariance }).collect()
 }
 
 fn fit(shape: &[Point3<f64>], annotated: &AnnotatedImage, max_distance_px: f64) -> Result<PnpSolution> {

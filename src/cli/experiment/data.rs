@@ -15,11 +15,12 @@ use crate::dataset::stereo::{read_clicks, read_stereo};
 use crate::dataset::{Landmark, PoseSource};
 use crate::geometry::TriangleMesh;
 use crate::geometry::rigid_fit::rigid_fit;
-use crate::geometry::stereo::ClickOptions;
+use crate::geometry::stereo::{ClickOptions, ClickPair, StereoPoint};
 use crate::simulate::{CellOptions, SceneKind, SequenceOptions, write_cell, write_dataset};
-use crate::track::realign::{REALIGNMENTS, train_realigned};
-use crate::train::annotated::{self, AnnotationOptions};
-use crate::train::{TrainOptions, TrainingImage};
+use crate::track::StereoPair;
+use crate::track::annotated::{Prepared, prepare};
+use crate::train::TrainingImage;
+use crate::train::annotated::AnnotationOptions;
 
 /// Training images per sequence, as many as in the paper.
 pub(super) const TRAINING_IMAGES: u32 = 16;
@@ -110,45 +111,55 @@ pub(super) fn training(
         return Ok((dataset.mesh(1)?, images));
     }
     let annotations = read_annotations(&scene.folder.join("annotations.json"))?;
-    let shape = annotations.shape(&clicked_landmarks(data)?)?;
+    let (landmarks, pair) = clicked_landmarks(data, &annotations.names)?;
+    let shape = annotations.shape(&landmarks)?;
     let ids: Vec<u32> = annotations.frames.keys().copied().collect();
     let images = annotated_images(&scene, &annotations, &ids)?;
     let default = AnnotationOptions::default();
     let sigma_px = annotations.sigma_px.unwrap_or(default.sigma_px).max(1e-3);
     let noise = AnnotationOptions { max_distance_px: MAX_ANNOTATION_PX, sigma_px, ..default };
-    let posed = annotated::pose(&shape, images, &noise)?;
-    let realigned = train_realigned(&posed.mesh, posed.images, &TrainOptions::default(), REALIGNMENTS)?;
-    Ok((posed.mesh, realigned.images))
+    let prepared = prepare(&shape, Some(&pair), images, &noise)?;
+    in_object_frame(data, &annotations.names, prepared)
 }
 
-/// Landmarks triangulated from the clicks of the stereo pair, moved rigidly into the object's frame, so that poses can
-/// be compared with the truth.
-fn clicked_landmarks(data: &Path) -> anyhow::Result<Vec<Landmark>> {
-    let rig = read_stereo(&data.join("stereo.json"))?.rig;
+/// Landmarks triangulated from the clicks of the stereo pair, in the frame of its left camera, and the pair.
+fn clicked_landmarks(data: &Path, names: &[String]) -> anyhow::Result<(Vec<Landmark>, StereoPair)> {
+    let calibration = read_stereo(&data.join("stereo.json"))?;
     let clicks = read_clicks(&data.join("clicks.json"))?;
     // Clicks of a noise above the usual one are what was asked for: only gross mistakes are refused.
     let sigma_px = clicks.sigma_px.unwrap_or(ClickOptions::default().sigma_px).max(1e-3);
     let usual = ClickOptions::default().max_epipolar_px;
     let click = ClickOptions { sigma_px, max_epipolar_px: usual.max(8.0 * sigma_px) };
-    let points = rig.triangulate_all(&clicks.pairs, &click)?;
+    let points = calibration.rig.triangulate_all(&clicks.pairs, &click)?;
+    let landmark = |(click, point): (&ClickPair, &StereoPoint)| Landmark {
+        name: click.name.clone(),
+        position: point.position,
+        covariance: point.covariance,
+    };
+    let landmarks = clicks.pairs.iter().zip(&points).map(landmark).collect();
+    Ok((landmarks, frames::stereo_pair(data, &calibration, &clicks, sigma_px, names)?))
+}
+
+/// Moves what is trained with rigidly to where the exact landmarks are, so that poses can be compared with the truth: the
+/// frame of the object is a convention. Size and shape stay.
+fn in_object_frame(
+    data: &Path,
+    names: &[String],
+    prepared: Prepared,
+) -> anyhow::Result<(TriangleMesh, Vec<TrainingImage>)> {
+    let Prepared { mut mesh, mut images, .. } = prepared;
     let exact = read_landmarks(&data.join("landmarks_gt.json"))?;
-    let (from, to): (Vec<Point3<f64>>, Vec<Point3<f64>>) = clicks
-        .pairs
-        .iter()
-        .zip(&points)
-        .filter_map(|(c, p)| Some((p.position, exact.iter().find(|e| e.name == c.name)?.position)))
-        .unzip();
-    let (object_from_camera, _) = rigid_fit(&from, &to)?;
-    let turn = object_from_camera.rotation();
-    let landmark =
-        |(click, point): (&crate::geometry::stereo::ClickPair, &crate::geometry::stereo::StereoPoint)| {
-            Landmark {
-                name: click.name.clone(),
-                position: object_from_camera.transform_point(&point.position),
-                covariance: turn * point.covariance * turn.transpose(),
-            }
-        };
-    Ok(clicks.pairs.iter().zip(&points).map(landmark).collect())
+    let known =
+        |(name, x): (&String, &Point3<f64>)| Some((*x, exact.iter().find(|e| e.name == *name)?.position));
+    let (from, to): (Vec<Point3<f64>>, Vec<Point3<f64>>) =
+        names.iter().zip(&mesh.vertices).filter_map(known).unzip();
+    let (object_from_clicked, _) = rigid_fit(&from, &to)?;
+    mesh.vertices.iter_mut().for_each(|x| *x = object_from_clicked.transform_point(x));
+    let clicked_from_object = object_from_clicked.inverse();
+    for image in &mut images {
+        image.camera_from_object = image.camera_from_object.compose(&clicked_from_object);
+    }
+    Ok((mesh, images))
 }
 
 /// Frame numbers spread over `0..frames`, first and last included.

@@ -4,9 +4,9 @@ use nalgebra::Rotation3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::super::Distortion;
-use super::super::rigid_fit::rigid_fit;
 use super::*;
+use crate::geometry::Distortion;
+use crate::geometry::rigid_fit::rigid_fit;
 
 fn camera() -> Camera {
     let distortion = Distortion { k1: -0.2, k2: 0.05, p1: 0.001, p2: -0.0005, k3: 0.0 };
@@ -43,12 +43,19 @@ fn sightings(poses: &[Pose], sigma: f64, rng: &mut ChaCha8Rng) -> Vec<Sighting> 
     let mut see = |pose: &Pose| Sighting {
         camera: camera(),
         camera_from_object: off.compose(pose),
-        pixels: shape()
+        marks: shape()
             .iter()
             .map(|x| camera().project(&pose.transform_point(x)).expect("in front") + noise())
+            .map(|pixel| Mark::new(pixel, 0.3))
             .collect(),
     };
     poses.iter().map(&mut see).collect()
+}
+
+/// The same sightings, believed by another standard deviation.
+fn with_noise(seen: &[Sighting], sigma: f64) -> Vec<Sighting> {
+    let marks = |s: &Sighting| s.marks.iter().map(|m| Mark::new(m.pixel, sigma)).collect();
+    seen.iter().map(|s| Sighting { marks: marks(s), ..s.clone() }).collect()
 }
 
 /// Priors drawn from their covariance: 0.15 mm across, 0.9 mm deep.
@@ -75,7 +82,7 @@ fn exact_data_gives_the_truth() {
         .map(|position| Prior { position, covariance: Matrix3::identity() * 1e-6 })
         .collect();
     let poses = views(5);
-    let bundle = refine(&exact, &sightings(&poses, 0.0, &mut rng), 0.3).expect("a bundle");
+    let bundle = refine(&exact, &sightings(&poses, 0.0, &mut rng)).expect("a bundle");
     for (found, known) in bundle.points.iter().zip(shape()) {
         assert!((found.position - known).norm() < 1e-8, "{} is not {known}", found.position);
     }
@@ -95,7 +102,7 @@ fn noise_shrinks_as_predicted() {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let prior = priors(&mut rng);
         let seen = sightings(&views(16), 0.3, &mut rng);
-        let bundle = refine(&prior, &seen, 0.3).expect("a bundle");
+        let bundle = refine(&prior, &seen).expect("a bundle");
         let depths = |points: &[Prior]| -> Vec<f64> {
             let points: Vec<_> = points.iter().map(|p| p.position).collect();
             let (fit, _) = rigid_fit(&points, &shape()).expect("a fit");
@@ -124,7 +131,7 @@ fn the_prior_counts_by_its_covariance() {
     let mut prior = priors(&mut rng);
     prior[7].covariance = Matrix3::zeros();
     let seen = sightings(&views(6), 0.3, &mut rng);
-    let found = refine(&prior, &seen, 0.3).expect("a bundle");
+    let found = refine(&prior, &seen).expect("a bundle");
     assert_eq!(found.points[7], prior[7], "exact");
     let shift = Vector3::new(0.2, -0.1, 0.4);
     let moved: Vec<Prior> = prior.iter().map(|p| Prior { position: p.position + shift, ..*p }).collect();
@@ -133,12 +140,12 @@ fn the_prior_counts_by_its_covariance() {
         .iter()
         .map(|s| Sighting { camera_from_object: s.camera_from_object.compose(&back), ..s.clone() })
         .collect();
-    let there = refine(&moved, &seen_there, 0.3).expect("a bundle");
+    let there = refine(&moved, &seen_there).expect("a bundle");
     for (a, b) in found.points.iter().zip(&there.points) {
         assert!((a.position + shift - b.position).norm() < 1e-7, "the frame is the prior's");
     }
     let far = |sigma: f64| {
-        let points = refine(&prior, &seen, sigma).expect("a bundle").points;
+        let points = refine(&prior, &with_noise(&seen, sigma)).expect("a bundle").points;
         rms(points.iter().zip(&prior).map(|(a, b)| (a.position - b.position).norm()))
     };
     let (trusted, doubted) = (far(0.03), far(300.0));
@@ -149,29 +156,27 @@ fn the_prior_counts_by_its_covariance() {
 fn what_cannot_work_is_refused() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let (prior, seen) = (priors(&mut rng), sightings(&views(2), 0.3, &mut rng));
-    let text = |prior: &[Prior], seen: &[Sighting], sigma: f64| {
-        refine(prior, seen, sigma).expect_err("refused").to_string()
-    };
-    assert!(text(&prior, &[], 0.3).contains("0 images"), "no image");
-    assert!(text(&prior[..3], &seen, 0.3).contains("3 points"), "few points");
-    assert!(text(&prior[..40], &seen, 0.3).contains("40 points, 49 pixels"), "unequal counts");
-    assert!(text(&prior, &seen, 0.0).contains("0 px"), "no noise");
+    let text = |prior: &[Prior], seen: &[Sighting]| refine(prior, seen).expect_err("refused").to_string();
+    assert!(text(&prior, &[]).contains("0 images"), "no image");
+    assert!(text(&prior[..3], &seen).contains("3 points"), "few points");
+    assert!(text(&prior[..40], &seen).contains("40 points, 49 marks"), "unequal counts");
+    assert!(text(&prior, &with_noise(&seen, 0.0)).contains("image 0"), "no noise");
     let mut bad = prior.clone();
     bad[3].covariance[(0, 0)] = -1e-6;
-    assert!(text(&bad, &seen, 0.3).contains("covariance"), "a negative variance");
+    assert!(text(&bad, &seen).contains("covariance"), "a negative variance");
     let mut bad = seen.clone();
-    bad[1].pixels[0].x = f64::NAN;
-    assert!(text(&prior, &bad, 0.3).contains("image 1"), "NaN");
+    bad[1].marks[0].pixel.x = f64::NAN;
+    assert!(text(&prior, &bad).contains("image 1"), "NaN");
     bad[1] = seen[1].clone();
     bad[1].camera_from_object = Pose::identity()
         .inverse()
         .compose(&Pose::new(Rotation3::new(Vector3::new(3.0, 0.0, 0.0)), Vector3::zeros()));
-    assert!(text(&prior, &bad, 0.3).contains("behind"), "behind the camera");
+    assert!(text(&prior, &bad).contains("behind"), "behind the camera");
     let line: Vec<Prior> = (0..49)
         .map(|k| Prior {
             position: Point3::new(0.004 * f64::from(k), 0.0, 0.3),
             covariance: Matrix3::zeros(),
         })
         .collect();
-    assert!(text(&line, &seen, 0.3).contains("open"), "a line can be turned about itself");
+    assert!(text(&line, &seen).contains("open"), "a line can be turned about itself");
 }
