@@ -7,12 +7,16 @@ use super::workspace::{Solver, copy_matrix, scale_both_sides};
 use crate::geometry::Pose;
 use crate::geometry::pose::skew;
 
-/// Cluster-robust covariance: `H^-1 (sum_i g_i g_i^T) H^-1` with `g_i` the part of triangle i in the gradient. Residuals of
-/// neighbouring pixels are correlated (interpolation, light, model errors) and stronger where the contrast is; both
-/// show in the sums of whole triangles, while the textbook `s^2 H^-1` takes every pixel for an independent witness. Zero
-/// where the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and
-/// radians.
-pub(super) fn covariance(equations: &NormalEquations, solver: &mut Solver) -> Matrix6<f64> {
+/// Share of the scatter that is taken to have the shape of the hessian: a few dozen triangles say little about its
+/// weakest directions.
+const SHRINKAGE: f64 = 0.3;
+
+/// Cluster-robust covariance: `H^-1 G H^-1` with `G = sum_i g_i g_i^T` and `g_i` the part of triangle i in the gradient, H
+/// scaled by the `response` of the gradient to the pose. Residuals of neighbouring pixels are correlated (interpolation,
+/// light, model errors) and stronger where the contrast is; both show in the sums of whole triangles, while the textbook
+/// `s^2 H^-1` takes every pixel for an independent witness. A share of G is replaced by H of the same size. Zero where
+/// the pose is not determined. Object axes about the centre of rotation, `[tx ty tz rx ry rz]`, metres and radians.
+pub(super) fn covariance(equations: &NormalEquations, response: f64, solver: &mut Solver) -> Matrix6<f64> {
     let (n, p) = (equations.triangles, equations.gradient.len());
     if n <= p {
         return Matrix6::zeros();
@@ -21,15 +25,21 @@ pub(super) fn covariance(equations: &NormalEquations, solver: &mut Solver) -> Ma
     let Solver { scatter, scale, .. } = solver;
     copy_matrix(scatter, &equations.scatter);
     scale_both_sides(scatter, scale);
+    factor.solve_mut(scatter);
+    #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
+    let (few_clusters, size) = (n as f64 / (n - p) as f64, scatter.trace() / p as f64);
+    let mixed = |(g, h): (&f64, &f64)| (1.0 - SHRINKAGE) * g + SHRINKAGE * size * h;
+    for (to, mixed) in scatter.iter_mut().zip(equations.scatter.iter().zip(&equations.hessian).map(mixed)) {
+        *to = mixed;
+    }
+    scale_both_sides(scatter, scale);
     // H^-1 G, then H^-1 (H^-1 G)^T.
     factor.solve_mut(scatter);
     scatter.transpose_mut();
     factor.solve_mut(scatter);
     scale_both_sides(scatter, scale);
     solver.system = factor.unpack_dirty();
-    #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
-    let few_clusters = n as f64 / (n - p) as f64;
-    solver.scatter.fixed_view::<6, 6>(0, 0) * few_clusters
+    solver.scatter.fixed_view::<6, 6>(0, 0) * (few_clusters / (response * response))
 }
 
 /// The hessian that belongs to a covariance made of it and a residual variance; zero where that is not known.

@@ -77,6 +77,8 @@ pub(super) struct End<'a> {
     pub(super) iterations: usize,
     /// False if any level did not converge.
     pub(super) converged: bool,
+    /// How much the gradient changes with the pose, in units of what JtQJ says.
+    pub(super) response: f64,
 }
 
 /// The estimates of ends, in the memory of earlier ones.
@@ -90,7 +92,7 @@ pub(super) fn finish<'a>(
 ) -> Result<()> {
     estimates.resize_with(ends.clone().count(), PoseEstimate::default);
     for (estimate, end) in estimates.iter_mut().zip(ends.clone()) {
-        estimate.covariance = covariance(end.equations, &mut scratch.solver);
+        estimate.covariance = covariance(end.equations, end.response, &mut scratch.solver);
         estimate.hessian = end.equations.pose_hessian(&mut scratch.solver);
         estimate.rms = if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 };
         estimate.camera_from_object = end.state.pose;

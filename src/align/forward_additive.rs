@@ -97,7 +97,8 @@ impl Descent {
 
     fn ended(&self) -> End<'_> {
         let Self { state, visibility, equations, iterations, converged, .. } = self;
-        End { state, visibility, equations, iterations: *iterations, converged: *converged }
+        let (iterations, converged) = (*iterations, *converged);
+        End { state, visibility, equations, iterations, converged, response: 1.0 }
     }
 }
 

@@ -126,7 +126,9 @@ impl Joint {
             let is_lower = cost < self.equations.cost;
             self.steps.judge(is_lower);
             if is_lower {
+                let before = self.steps.along(&self.equations.gradient);
                 self.look(eyes, &problems, settings, work);
+                self.steps.learn(before, self.steps.along(&self.equations.gradient));
             }
         }
     }
@@ -182,7 +184,7 @@ impl Joint {
         let estimate = PoseEstimate {
             camera_from_object: self.steps.state.pose,
             appearance: self.steps.state.appearance.clone(),
-            covariance: covariance(&self.equations, solver),
+            covariance: covariance(&self.equations, self.steps.response(), solver),
             hessian: self.equations.pose_hessian(solver),
             rms: if self.equations.cost.is_finite() { self.equations.cost.max(0.0).sqrt() } else { 0.0 },
             iterations: self.steps.total,

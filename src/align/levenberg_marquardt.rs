@@ -14,6 +14,8 @@ use crate::geometry::raster::ZBuffer;
 
 /// Largest damping before a descent gives up.
 const MAX_DAMPING: f64 = 1e8;
+/// Least response that is believed.
+const MIN_RESPONSE: f64 = 0.3;
 /// Damping after a refused step at least: smaller ones hardly change the step.
 const NOTICEABLE_DAMPING: f64 = 0.1;
 
@@ -62,6 +64,10 @@ pub(super) struct Steps {
     damping: f64,
     candidate: State,
     is_proposed: bool,
+    /// The last step: pose increment, then appearance.
+    step: Vec<f64>,
+    /// Gradient along the accepted steps of this level, before and after them.
+    along: [f64; 2],
 }
 
 impl Steps {
@@ -76,7 +82,7 @@ impl Steps {
     /// Enters a level.
     pub(super) fn begin(&mut self, settings: &Settings) {
         (self.iterations, self.stop, self.is_proposed) = (0, None, false);
-        self.damping = settings.damping;
+        (self.damping, self.along) = (settings.damping, [0.0; 2]);
     }
 
     /// Leaves a level.
@@ -106,6 +112,8 @@ impl Steps {
             return;
         };
         self.iterations += 1;
+        self.step.clear();
+        self.step.extend(step);
         let motion: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
         let moved = motion.dot(&(equations.displacement * motion)).max(0.0).sqrt();
         self.candidate.pose = self.state.pose.compose(&Pose::increment(&motion, centre).inverse());
@@ -118,6 +126,23 @@ impl Steps {
             std::mem::swap(&mut self.state, &mut self.candidate);
             self.stop = Some(Stop::Converged);
         }
+    }
+
+    /// Part of a gradient along the last step.
+    pub(super) fn along(&self, gradient: &DVector<f64>) -> f64 {
+        self.step.iter().zip(gradient).map(|(d, g)| d * g).sum()
+    }
+
+    /// Learns what an accepted step did to the gradient along it.
+    pub(super) fn learn(&mut self, before: f64, after: f64) {
+        self.along = [self.along[0] + before, self.along[1] + after];
+    }
+
+    /// How much the gradient of this level changes with the pose, in units of what JtQJ says (0.3..1): a step should take all
+    /// of it away. Noise in the template makes JtQJ too large, and so does an image more blurred than the template.
+    pub(super) fn response(&self) -> f64 {
+        let [before, after] = self.along;
+        if before < 0.0 { ((before - after) / before).clamp(MIN_RESPONSE, 1.0) } else { 1.0 }
     }
 
     /// The state to evaluate next.
@@ -199,7 +224,8 @@ impl Descent {
     pub(super) fn ended(&self) -> End<'_> {
         let Steps { state, total, converged, .. } = &self.steps;
         let Look { visibility, equations, .. } = &self.look;
-        End { state, visibility, equations, iterations: *total, converged: *converged }
+        let response = self.steps.response();
+        End { state, visibility, equations, iterations: *total, converged: *converged, response }
     }
 
     /// Starts a level at the state, whose sums and visibility are known.
@@ -231,7 +257,9 @@ impl Descent {
         let is_lower = cost < self.look.equations.cost;
         self.steps.judge(is_lower);
         if is_lower {
+            let before = self.steps.along(&self.look.equations.gradient);
             self.look.take(problem, settings, &self.steps.state, rows, scratch);
+            self.steps.learn(before, self.steps.along(&self.look.equations.gradient));
         }
     }
 }
