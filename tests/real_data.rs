@@ -9,18 +9,21 @@ use aam6d::backend::Backend;
 use aam6d::dataset::{Dataset, FrameInfo, PoseSource, ResultRow, results};
 use aam6d::eval::{Estimate, EvalObject, Evaluation, evaluate};
 use aam6d::imaging::gray;
-use aam6d::track::Tracked;
+use aam6d::track::{SearchOptions, Status, Tracked};
 use aam6d::train::{TrainOptions, TrainingImage, train};
 use libtest_mimic::Failed;
 use support::data::{self, check};
-use support::tracking::{cpu, estimate, say, track, tracker};
+use support::tracking::{cpu, distance_px, estimate, say, track, tracker};
 
 /// The goals for tracking against the reference, which was computed from the same images: corners in pixels (median
 /// and 95 %), motion since frame 0 in millimetres and degrees (medians).
 const CORNER_PX: [f64; 2] = [0.4, 0.6];
 const MOTION: [f64; 2] = [0.4, 0.12];
 
-const CASES: [(&str, data::Case); 7] = [
+/// A pose that was searched for is right below this distance from the reference, pixels.
+const FOUND_PX: f64 = 2.0;
+
+const CASES: [(&str, data::Case); 9] = [
     ("teabox", teabox),
     ("teabox_stereo", teabox_stereo),
     ("franka_chessboard", franka_chessboard),
@@ -28,6 +31,8 @@ const CASES: [(&str, data::Case); 7] = [
     ("robot_against_pnp", robot_against_pnp),
     ("track_teabox", track_teabox),
     ("track_teabox_stereo", track_teabox_stereo),
+    ("search_teabox", |folder| search_scene(folder, "teabox", &[5, 25])),
+    ("search_teabox_stereo", |folder| search_scene(folder, "teabox_stereo", &[5, 65, 115])),
 ];
 
 fn main() {
@@ -125,6 +130,35 @@ fn robot_against_pnp(folder: &Path) -> Result<(), Failed> {
     let near = |value: Option<f64>, low: f64, high: f64| value.is_some_and(|v| (low..high).contains(&v));
     check(near(e.rms_t_mm, 3.5, 5.5) && near(e.rms_r_deg, 0.35, 0.6), e.to_string())?;
     check(near(e.corner_px.median, 4.0, 8.0), e.to_string())
+}
+
+/// Looks for the object in every tenth frame, each for itself, with a model of other frames.
+fn search_scene(folder: &Path, name: &str, trained_on: &[u32]) -> Result<(), Failed> {
+    let dataset = Dataset::open(folder.join(name))?;
+    let (scene, truth) = (dataset.scene(1)?, dataset.poses(1, 1, &PoseSource::Reference)?);
+    let (camera, object) = (scene.frames[0].camera, EvalObject::new(&dataset.mesh(1)?)?);
+    let read = |f: &FrameInfo| gray::read_sized(&f.image, f.camera.width, f.camera.height);
+    let of_model = scene.frames.iter().filter(|f| trained_on.contains(&f.id));
+    let images = of_model
+        .map(|f| Ok(TrainingImage { image: read(f)?, camera, camera_from_object: truth[&f.id] }))
+        .collect::<Result<Vec<_>, Failed>>()?;
+    let model = train(&dataset.mesh(1)?, &images, &TrainOptions::default())?;
+    let mut searching = tracker(&model, camera, cpu());
+    searching.search_by(SearchOptions::default())?;
+    let mut found = Vec::new();
+    for frame in scene.frames.iter().step_by(10) {
+        let tracked = searching.track(&read(frame)?)?;
+        // The templates are rendered once and shared.
+        searching = searching.another()?;
+        let px =
+            distance_px(&camera, &object.corners(), &truth[&frame.id], &tracked.estimate.camera_from_object);
+        found.push((frame.id, tracked.status, px));
+    }
+    let right = |(_, status, px): &(u32, Status, f64)| status.has_pose() && *px < FOUND_PX;
+    let worst = found.iter().map(|(_, _, px)| *px).fold(0.0, f64::max);
+    let count = found.iter().filter(|f| right(f)).count();
+    say(format_args!("{name}: {count} of {} found, {worst:.2} px off at most", found.len()));
+    check(count == found.len() && count >= 4, format!("{found:?}"))
 }
 
 /// Trains on frame 0 of a scene with the reference poses and tracks all its frames.
