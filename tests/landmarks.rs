@@ -180,7 +180,7 @@ fn shifts_are_measured() {
     let (shifts, beliefs) = measured(cover, &off);
     let covered = deviations(&shifts, &off);
     assert!((20..60).contains(&covered.len()), "{} of 76 landmarks", covered.len());
-    assert!(beliefs.iter().any(|b| *b == 0.0), "covered triangles are not believed");
+    assert!(beliefs.contains(&0.0), "covered triangles are not believed");
     let (shifts, beliefs) = measured(|image| image.pixels_mut().for_each(|p| p[0] = 90), &off);
     assert!(shifts.iter().all(Option::is_none) && beliefs.is_empty(), "nothing to see");
 }
