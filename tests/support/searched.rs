@@ -18,6 +18,8 @@ use super::tracking::{distance_px, say};
 
 /// The tracker comes back from this far, pixels (rms over the mesh).
 pub(crate) const BASIN_PX: f64 = 20.0;
+/// A pose farther off than this must not be called certain, pixels.
+const WRONG_PX: f64 = 10.0;
 /// A hypothesis nearer than this to the truth is not lost yet.
 const NEAR_PX: f64 = 30.0;
 const SEED: u64 = 11;
@@ -162,16 +164,16 @@ impl Searched {
     pub(crate) fn judge(&self, k: u64, truth: &Pose, found: &Found, tally: &mut Tally) {
         let px = |pose: &Pose| distance_px(&self.camera(), self.vertices(), truth, pose);
         let best = found.best.as_ref().map(|e| (px(&e.camera_from_object), e.score));
+        if let Some((px, score)) = best.filter(|(px, _)| *px >= WRONG_PX) {
+            say(format_args!("view {k}: a pose {px:.1} px off is believed, {score:.2?}"));
+        }
         match best {
             Some((px, _)) if px < BASIN_PX => {
                 tally.found += 1;
                 tally.exact += u64::from(px < 1.0);
                 return;
             }
-            Some((px, score)) => {
-                say(format_args!("view {k}: a pose {px:.1} px off is believed, {score:.2?}"));
-                tally.wrong += 1;
-            }
+            Some(_) => tally.wrong += 1,
             None => {}
         }
         // The first stage that leaves nothing near the truth.
