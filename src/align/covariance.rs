@@ -2,10 +2,13 @@
 
 use nalgebra::{Matrix3, Matrix6, Point3};
 
+use super::PoseEstimate;
 use super::normal_equations::NormalEquations;
 use super::workspace::{Solver, copy_matrix, scale_both_sides};
-use crate::geometry::Pose;
 use crate::geometry::pose::skew;
+use crate::geometry::warp::increment_jacobian;
+use crate::geometry::{Camera, Pose};
+use crate::model::Shape;
 
 /// Share of the scatter that is taken to have the shape of the hessian: a few dozen triangles say little about its
 /// weakest directions.
@@ -40,6 +43,32 @@ pub(super) fn covariance(equations: &NormalEquations, response: f64, solver: &mu
     scale_both_sides(scatter, scale);
     solver.system = factor.unpack_dirty();
     solver.scatter.fixed_view::<6, 6>(0, 0) * (few_clusters / (response * response))
+}
+
+impl PoseEstimate {
+    /// How far the image leaves open where the object is: rms standard deviation of the corners of the object's box in the
+    /// image, pixels; infinite where the pose is not determined. Right poses have a tenth of a pixel, bad images half
+    /// a one. An end at which the template fits only somewhat has several, however well it correlates: its triangles
+    /// pull in different directions.
+    pub fn spread_px(&self, camera: &Camera, shape: &Shape) -> f64 {
+        let covariance = if self.covariance == Matrix6::zeros() {
+            // Too few triangles to see how they scatter: what independent residuals would leave open.
+            let Some(inverse) = self.hessian.try_inverse() else { return f64::INFINITY };
+            inverse * (self.rms * self.rms)
+        } else {
+            self.covariance
+        };
+        let pose = &self.camera_from_object;
+        let (pinhole, mut sum, mut seen) = (camera.rectified(), 0.0, 0.0);
+        for corner in shape.corners.iter().filter(|x| pose.transform_point(x).z > 0.0) {
+            let d = increment_jacobian(&pinhole, pose, corner, &shape.centre);
+            sum += (d * covariance * d.transpose()).trace();
+            seen += 1.0;
+        }
+        // Written so that NaN is no pose.
+        let variance = sum / seen;
+        if variance >= 0.0 { variance.sqrt() } else { f64::INFINITY }
+    }
 }
 
 /// The hessian that belongs to a covariance made of it and a residual variance; zero where that is not known.

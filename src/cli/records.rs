@@ -112,6 +112,7 @@ pub(super) struct FrameRecord {
     frame: u32,
     status: Status,
     probability: f64,
+    spread_px: f64,
     camera_from_object: PoseRecord,
     appearance: Vec<f64>,
     /// Row-major 6x6, `x y z rotX rotY rotZ`, metres and radians, fixed axes of the camera frame.
@@ -162,6 +163,7 @@ impl FrameRecord {
             frame,
             status: tracked.status,
             probability: tracked.probability,
+            spread_px: tracked.spread_px,
             camera_from_object: PoseRecord::new(&e.camera_from_object),
             appearance: e.appearance.clone(),
             // Symmetric: row-major is column-major.

@@ -18,6 +18,8 @@ use crate::model::Model;
 const WHOLE_CORRELATION: f64 = 0.8;
 /// Another pose is an ambiguity from this share of what the best one explains on.
 const AMBIGUOUS_SHARE: f64 = 0.75;
+/// Poses with a larger spread ([`PoseEstimate::spread_px`]) are vague: a tracker calls them uncertain.
+const VAGUE_PX: f64 = 1.0;
 /// Poses whose corners are this far apart (rms, pixels) are different ones.
 const DIFFERENT_PX: f64 = 20.0;
 
@@ -58,9 +60,10 @@ impl Finder {
         Ok(())
     }
 
-    /// Who is believed, and who is the best of them: the one that explains most of the image. Correlations over the whole
-    /// object, or a median of them, are reached as well by a pose that shows one face of a box where it is and the others
-    /// elsewhere.
+    /// Who is believed, and who is the best of them: the one that explains most of the image, unless it is vague and another
+    /// one explains nearly as much. Correlations over the whole object, or a median of them, are reached as well by a pose
+    /// that shows one face of a box where it is and the others elsewhere; and a face that is small in the image correlates
+    /// well at many poses, but only at the right one do its triangles agree.
     pub(super) fn judge(&self, target: &Target<'_>, candidates: &mut [Candidate], found: &mut Found) {
         let began = Instant::now();
         (found.best, found.rejected) = (None, None);
@@ -69,9 +72,13 @@ impl Finder {
         let (believed, rejected): (Vec<_>, Vec<_>) =
             candidates.iter().cloned().partition(|(evidence, _)| evidence.is_enough());
         let most = believed.first().map_or(0.0, |(evidence, _)| evidence.information);
-        let mut believed = believed.into_iter();
-        found.best = believed.next().map(|(_, e)| e);
-        for (_, estimate) in believed.filter(|(evidence, _)| evidence.information >= AMBIGUOUS_SHARE * most) {
+        let near =
+            believed.into_iter().filter(|(evidence, _)| evidence.information >= AMBIGUOUS_SHARE * most);
+        let (vague, clear): (Vec<_>, Vec<_>) =
+            near.map(|(_, e)| e).partition(|e| self.is_vague(target.model, e));
+        let mut believed = if clear.is_empty() { vague } else { clear }.into_iter();
+        found.best = believed.next();
+        for estimate in believed {
             let known = found.best.iter().chain(&found.others);
             if known.into_iter().all(|e| self.differ(target.model, e, &estimate)) {
                 found.others.push(estimate);
@@ -82,6 +89,11 @@ impl Finder {
         }
         let believed = found.best.iter().chain(&found.others).map(|e| e.camera_from_object).collect();
         found.stages.push(StageReport::new("judge", candidates.len(), believed, began));
+    }
+
+    /// Does the image leave open where the object is?
+    pub(super) fn is_vague(&self, model: &Model, estimate: &PoseEstimate) -> bool {
+        estimate.spread_px(&self.camera, &model.shape) > VAGUE_PX
     }
 
     fn differ(&self, model: &Model, a: &PoseEstimate, b: &PoseEstimate) -> bool {

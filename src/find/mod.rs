@@ -4,7 +4,7 @@
 //! image at an eighth of its size (stage `scan`); the best are refined and ranked on finer and finer images, the few
 //! that are left aligned in full and judged by what they explain of the image. All comparisons before the alignment are of
 //! the soft-normalised gradient, which light hardly changes and which bounds the influence of every pixel. If that does
-//! not find the whole object, keypoints of the image and of the object say further hypotheses, which go the same way.
+//! not find the whole object, or only a vague pose, keypoints of the image and of the object say further hypotheses, which go the same way.
 //! `docs/maths.md`, "First pose".
 
 mod atlas;
@@ -217,7 +217,8 @@ impl Finder {
         let scanned = self.scanned(backend, target, priors, &mut found.stages)?;
         self.align(backend, aligner, target, &scanned, &mut candidates, &mut found.stages)?;
         self.judge(target, &mut candidates, &mut found);
-        if !candidates.first().is_some_and(|(evidence, _)| evidence.is_clear()) {
+        let is_clear = candidates.first().is_some_and(|(evidence, _)| evidence.is_clear());
+        if !is_clear || found.best.as_ref().is_none_or(|best| self.is_vague(target.model, best)) {
             let matched = self.matched(target, priors, &mut found.stages);
             self.align(backend, aligner, target, &matched, &mut candidates, &mut found.stages)?;
             self.judge(target, &mut candidates, &mut found);

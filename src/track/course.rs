@@ -3,7 +3,7 @@
 use super::Status;
 use super::prediction::Motion;
 use crate::align::{PoseEstimate, Start};
-use crate::geometry::Pose;
+use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
 /// After a loss, or a search, a pose is certain from this median correlation on: wrong poses that a search ended in reached
@@ -12,6 +12,10 @@ pub(super) const RECOVERED_CORRELATION: f64 = 0.8;
 /// And if this share of its triangles is recognised. A wrong pose that explains one face of a half-hidden box where two or
 /// three are seen reached a correlation of 0.93 with a share of 0.72; of objects in full view more than 0.95 is recognised.
 const CLEAR_SHARE: f64 = 0.8;
+
+/// With this spread (pixels, [`PoseEstimate::spread_px`]) a pose is right with a probability of a half at most, and so with a
+/// third of it no more than uncertain. Right ends of searches had up to 0.65 px, ends more than 10 px off at least 2.
+const WIDE_PX: f64 = 3.0;
 
 /// Where the object was, and how sure that is.
 #[derive(Debug, Clone)]
@@ -48,11 +52,11 @@ impl Course {
     }
 
     /// Status of a pose that was aligned from where it was expected.
-    pub(super) fn status(&self, estimate: &PoseEstimate, model: &Model) -> Status {
+    pub(super) fn status(&self, estimate: &PoseEstimate, model: &Model, camera: &Camera) -> Status {
         if self.lost_frames > 0 && estimate.score.correlation < RECOVERED_CORRELATION {
             return Status::Lost;
         }
-        let status = Status::of_probability(probability(estimate, model));
+        let status = Status::of_probability(probability(estimate, model, camera));
         if self.is_confirmed { status } else { unconfirmed(status, estimate) }
     }
 
@@ -74,13 +78,15 @@ impl Course {
 }
 
 /// Status of a pose that a search of the whole image has found.
-pub(super) fn status_of_found(estimate: &PoseEstimate, model: &Model) -> Status {
-    unconfirmed(Status::of_probability(probability(estimate, model)), estimate)
+pub(super) fn status_of_found(estimate: &PoseEstimate, model: &Model, camera: &Camera) -> Status {
+    unconfirmed(Status::of_probability(probability(estimate, model, camera)), estimate)
 }
 
-/// Probability that the pose of an estimate is right, as the model was calibrated.
-pub(super) fn probability(estimate: &PoseEstimate, model: &Model) -> f64 {
-    model.calibration.probability(estimate.score.margin())
+/// Probability that the pose of an estimate is right: that the object is recognised, as the model was calibrated, and that the
+/// pose is not merely near. Errors of ends that are no minimum have longer tails than a normal distribution.
+pub(super) fn probability(estimate: &PoseEstimate, model: &Model, camera: &Camera) -> f64 {
+    let spread = estimate.spread_px(camera, &model.shape) / WIDE_PX;
+    model.calibration.probability(estimate.score.margin()) / (1.0 + spread * spread)
 }
 
 /// Not more than uncertain unless the object is recognised clearly.

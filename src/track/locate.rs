@@ -47,7 +47,7 @@ impl Tracker {
         for (estimate, start) in estimates.iter_mut().zip(starts) {
             let fell = estimate.score.correlation
                 < RECOVERED_CORRELATION.min(self.course.correlation - FALLEN_CORRELATION);
-            if self.course.status(estimate, &self.model).has_pose() && !fell {
+            if self.course.status(estimate, &self.model, &self.camera).has_pose() && !fell {
                 continue;
             }
             if let Some(found) = self.aligner.search(self.backend.as_mut(), &target, start)? {

@@ -145,9 +145,9 @@ impl Tracker {
         self.backend.name()
     }
 
-    /// Probability that the pose of an estimate is right, as the model was calibrated.
+    /// Probability that the pose of an estimate is right (`docs/maths.md`, "Score").
     pub fn probability(&self, estimate: &PoseEstimate) -> f64 {
-        probability(estimate, &self.model)
+        probability(estimate, &self.model, &self.camera)
     }
 
     /// Tracks the object into the next frame. After a lost frame it is looked for where it was seen last, and, with
@@ -175,7 +175,7 @@ impl Tracker {
             None => self.find_first(image, tracked)?,
         }
         self.course.follow(tracked.status, &tracked.estimate);
-        tracked.rate(&self.model);
+        tracked.rate(&self.model, &self.camera);
         (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
         Ok(())
     }
@@ -192,7 +192,7 @@ impl Tracker {
         }
         (self.starts, self.estimates) = (starts, estimates);
         aligned?;
-        tracked.status = self.course.status(&tracked.estimate, &self.model);
+        tracked.status = self.course.status(&tracked.estimate, &self.model, &self.camera);
         if tracked.status == Status::Lost { self.recover(image, &motion, tracked) } else { Ok(()) }
     }
 

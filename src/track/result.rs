@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::course::probability;
 use crate::align::{AlignTimes, PoseEstimate};
+use crate::geometry::Camera;
 use crate::model::Model;
 
 /// A pose is tracked from this probability on that it is right.
@@ -50,8 +51,10 @@ pub struct Tracked {
     /// Is the pose to be believed?
     pub status: Status,
     /// Probability (0..1) that the pose is right: within a few pixels of the truth, all over the object; 0 without a pose.
-    /// [`crate::model::Calibration`] says where it comes from.
+    /// [`crate::model::Calibration`] and [`Self::spread_px`] say where it comes from.
     pub probability: f64,
+    /// [`PoseEstimate::spread_px`] in the frame's camera (of a rig: the reference camera).
+    pub spread_px: f64,
     /// The pose and all that is known about it.
     pub estimate: PoseEstimate,
     /// Wall time of this frame, milliseconds.
@@ -76,8 +79,10 @@ pub struct FrameTimes {
 
 impl Tracked {
     /// States how probable it is.
-    pub(super) fn rate(&mut self, model: &Model) {
-        self.probability = if self.status.has_pose() { probability(&self.estimate, model) } else { 0.0 };
+    pub(super) fn rate(&mut self, model: &Model, camera: &Camera) {
+        self.spread_px = self.estimate.spread_px(camera, &model.shape);
+        let probability = || probability(&self.estimate, model, camera);
+        self.probability = if self.status.has_pose() { probability() } else { 0.0 };
     }
 }
 
@@ -87,6 +92,7 @@ impl Default for Tracked {
         Self {
             status: Status::Lost,
             probability: 0.0,
+            spread_px: f64::INFINITY,
             estimate: PoseEstimate::default(),
             time_ms: 0.0,
             times: FrameTimes::default(),

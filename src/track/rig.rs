@@ -107,7 +107,7 @@ impl RigTracker {
             None => self.find_first(images)?,
         };
         self.course.follow(tracked.status, &tracked.estimate);
-        tracked.rate(self.trackers[0].model());
+        tracked.rate(self.model(), &self.trackers[0].camera);
         tracked.time_ms = ms_since(began);
         tracked.times = self.trackers[0].times;
         Ok(tracked)
@@ -129,7 +129,7 @@ impl RigTracker {
             })
             .collect();
         let estimate = self.aligner.align_joint(&mut eyes, start)?;
-        let status = self.course.status(&estimate, self.model());
+        let status = self.course.status(&estimate, self.model(), &self.trackers[0].camera);
         Ok(Tracked { status, estimate, ..Tracked::default() })
     }
 

@@ -128,7 +128,7 @@ impl Tracker {
         self.course.clone_from(course);
         let mut tracked = Tracked::default();
         tracked.estimate = self.align(image, std::slice::from_ref(around))?.remove(0);
-        tracked.status = course.status(&tracked.estimate, &self.model);
+        tracked.status = course.status(&tracked.estimate, &self.model, &self.camera);
         if tracked.status == Status::Lost {
             self.recover(image, &Motion::at_rest(around.camera_from_object), &mut tracked)?;
         }
@@ -163,7 +163,7 @@ impl Tracker {
 
     fn outcome(&self, found: Found) -> Result<(Status, PoseEstimate)> {
         let status = found.best.as_ref().map_or(Status::Searching, |best| {
-            let status = status_of_found(best, &self.model);
+            let status = status_of_found(best, &self.model, &self.camera);
             if status.has_pose() { status } else { Status::Searching }
         });
         let estimate = found.best.or(found.rejected);

@@ -109,6 +109,27 @@ impl Searched {
 
     /// Half of the views before clutter, half of them lit from a side.
     pub(crate) fn image(&self, k: u64, pose: &Pose, occlusion: f64, rng: &mut ChaCha8Rng) -> GrayImage {
+        let view = Self::random_view(k, pose, occlusion, rng);
+        if k.is_multiple_of(2) || occlusion > 0.0 {
+            self.plain.clone().with_clutter(self.seed, k).render_view(&view)
+        } else {
+            self.plain.render_view(&view)
+        }
+    }
+
+    /// One of the views that [`Self::count`] looks at: pose and image.
+    pub(crate) fn view(&self, number: u64, occlusion: f64) -> (Pose, GrayImage) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        for k in 0..number {
+            let pose = self.random_pose(&mut rng);
+            Self::random_view(k, &pose, occlusion, &mut rng);
+        }
+        let pose = self.random_pose(&mut rng);
+        let image = self.image(number, &pose, occlusion, &mut rng);
+        (pose, image)
+    }
+
+    fn random_view(k: u64, pose: &Pose, occlusion: f64, rng: &mut ChaCha8Rng) -> View {
         let aside = Vector3::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), -1.0);
         let lamp = Light {
             gain: rng.random_range(0.6..1.1),
@@ -120,12 +141,7 @@ impl Searched {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         let occluder = (occlusion > 0.0).then_some(Occluder { fraction: occlusion, angle });
         let noise = Some(Noise { sigma: 2.0, seed: 5, frame: k });
-        let view = View { pose: *pose, light, occluder, blur: 0.0, noise };
-        if k.is_multiple_of(2) || occlusion > 0.0 {
-            self.plain.clone().with_clutter(self.seed, k).render_view(&view)
-        } else {
-            self.plain.render_view(&view)
-        }
+        View { pose: *pose, light, occluder, blur: 0.0, noise }
     }
 
     pub(crate) fn find(&mut self, image: &GrayImage, priors: &Priors) -> Found {
