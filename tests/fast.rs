@@ -5,7 +5,7 @@ mod support;
 
 use aam6d::align::InverseCompositional;
 use aam6d::backend::cpu::downsample::downsample;
-use aam6d::backend::{Backend, CpuBackend, Implementation, Instructions, Request, Sums};
+use aam6d::backend::{Backend, CpuBackend, Implementation, Instructions, Linearization, Request, Sums};
 use aam6d::geometry::Pose;
 use aam6d::simulate::{Sequence, SequenceOptions};
 use aam6d::track::{Status, Tracker};
@@ -13,6 +13,7 @@ use aam6d::train::{TrainOptions, TrainingImage, train};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use support::linear::LinearReference;
 use support::sums::Reference;
 use support::{Scene, image};
 
@@ -63,6 +64,35 @@ fn all_sizes_agree() {
 fn single_pixels_and_many_poses_agree() {
     agrees(&Scene::of_single_pixels(8, 3_000, 3, 2), "single pixels");
     agrees(&Scene::new(9, 5_000, 4, 130), "many poses");
+}
+
+fn linearization(instructions: Instructions, scene: &Scene) -> Linearization {
+    let mut cpu = CpuBackend::with(Implementation::Fast(instructions));
+    let model = cpu.load(&scene.model).expect("the CPU takes every model");
+    cpu.set_frame(&scene.image, 1).expect("the CPU takes every frame");
+    let mut out = Linearization::default();
+    cpu.linearize(&scene.request(model), &mut out).expect("the scene fits itself");
+    out
+}
+
+#[test]
+fn linearizations_agree_and_disturbed_ones_do_not() {
+    for pixels in [1, 7, 16, 255, 257, 20_000] {
+        for modes in [0, 1, 2, 3, 4, 5, 8] {
+            let scene = Scene::new(21, pixels, modes, 3);
+            let reference = LinearReference::new(&scene);
+            for instructions in INSTRUCTIONS {
+                let problem = reference.compare(&scene, &linearization(instructions, &scene)).err();
+                let problem = problem.unwrap_or_default();
+                assert!(problem.is_empty(), "{pixels} pixels, {modes} modes, {instructions:?}: {problem}");
+            }
+            let mut disturbed = scene.clone();
+            disturbed.model.levels[0].pixels.intensity[0] += 4.0;
+            let report = reference.compare(&scene, &linearization(Instructions::Best, &disturbed));
+            let report = report.expect_err("a changed pixel must be noticed");
+            assert!(report.contains("triangle 0:"), "the wrong rows were reported: {report}");
+        }
+    }
 }
 
 /// What comes of a scene must not pass as what the twin makes of another.

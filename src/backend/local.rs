@@ -58,3 +58,15 @@ pub(super) fn to_origin(sums: &mut [f64], centre: Vector2<f64>) {
         slope[1] += centre.y * slope[2];
     }
 }
+
+/// [`to_origin`] for sums of x (u^2, u v, u, v^2, v, 1).
+pub(super) fn second_to_origin(sums: &mut [f64], c: Vector2<f64>) {
+    for sums in sums.chunks_exact_mut(6) {
+        let [uu, uv, u, vv, v, one] = [0, 1, 2, 3, 4, 5].map(|k| sums[k]);
+        sums[0] = uu + 2.0 * c.x * u + c.x * c.x * one;
+        sums[1] = uv + c.x * v + c.y * u + c.x * c.y * one;
+        sums[2] = u + c.x * one;
+        sums[3] = vv + 2.0 * c.y * v + c.y * c.y * one;
+        sums[4] = v + c.y * one;
+    }
+}

@@ -15,6 +15,9 @@ const OF_TERMS: f64 = 1e-4;
 /// Closer than this to a row or column of pixels, pixels, f32 and f64 may take the gradient on different sides.
 const BORDER: f64 = 1e-4;
 
+/// The two sides of a border are looked at this far from it, pixels.
+const BESIDE: f64 = 1e-7;
+
 /// Part of the pixels that may fall on the other side of the image border.
 const COUNT: f64 = 1e-4;
 
@@ -46,7 +49,7 @@ pub(crate) struct LinearReference {
 
 impl LinearReference {
     pub(crate) fn new(scene: &Scene) -> Self {
-        let mut cpu = CpuBackend::new();
+        let mut cpu = CpuBackend::twin();
         let model = cpu.load(&scene.model).expect("the CPU takes every model");
         cpu.set_frame(&scene.image, 1).expect("the CPU takes every frame");
         let mut out = Linearization::default();
@@ -113,7 +116,7 @@ fn tolerance(scene: &Scene, item: usize, triangle: usize) -> Row {
         for (axis, x) in [w.x / w.z, w.y / w.z].into_iter().enumerate() {
             if (x - x.round()).abs() < BORDER {
                 // The gradient jumps there: both sides are right.
-                for shift in [-2.0 * BORDER, 2.0 * BORDER] {
+                for shift in [-BESIDE, BESIDE].map(|beside| x.round() - x + beside) {
                     let mut other = *warp;
                     let moved = other.image_from_chart.row(axis) + shift * other.image_from_chart.row(2);
                     other.image_from_chart.set_row(axis, &moved);

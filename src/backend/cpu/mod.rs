@@ -15,7 +15,7 @@ use super::{Backend, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sum
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
-use fast::{FastLevel, Pairs, Tile};
+use fast::{FastLevel, Pairs, Tile, Work};
 
 pub(super) use fast::FastScanner;
 
@@ -182,21 +182,13 @@ impl Backend for CpuBackend {
     }
 
     fn linearize(&mut self, request: &Request<'_>, out: &mut Linearization) -> Result<()> {
-        let (level, image) = (&self.find(request)?.template, self.frame.level(request.image_level));
-        let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+        let level = self.find(request)?;
+        let (triangles, modes) = (level.template.charts.len(), level.template.pixels.modes.len());
         out.reset(request.items, triangles, modes);
-        let (first, second) = out.data_mut();
-        let rows = first
-            .par_chunks_mut(Sums::row_len(modes))
-            .zip(second.par_chunks_mut(Linearization::row_len(modes)));
-        rows.with_min_len(16).enumerate().for_each(|(i, rows)| {
-            let warp = &request.warps[i];
-            let (item, triangle) = (i / triangles, i % triangles);
-            let appearance = &request.appearance[item * modes..][..modes];
-            if warp.active {
-                linearize::linearize(&level.pixels, &level.charts[triangle], warp, appearance, image, rows);
-            }
-        });
+        match &level.fast {
+            Some(level) => self.linearize_fast(level, request, out),
+            None => linearize_twin(&level.template, request, self.frame.level(request.image_level), out),
+        }
         Ok(())
     }
 
@@ -206,40 +198,66 @@ impl Backend for CpuBackend {
 }
 
 impl CpuBackend {
-    /// Cuts the rows into tiles that are worth a thread: runs of poses, or of triangles for a single pose.
+    fn work<'a>(&'a self, template: &'a FastLevel, request: &'a Request<'a>) -> Work<'a> {
+        Work { level: self.level, template, request, image: &self.pairs[request.image_level] }
+    }
+
     fn accumulate_fast(&self, level: &FastLevel, request: &Request<'_>, sums: &mut Sums) {
-        let (image, triangles) = (&self.pairs[request.image_level], level.triangles.len());
-        let row_len = Sums::row_len(level.modes);
-        let work = request.items * level.padded_pixels();
-        let threads = (work / PIXELS_PER_THREAD).clamp(1, rayon::current_num_threads());
-        let run = |items, triangles, rows: &mut [f64]| {
-            fast::accumulate(self.level, level, request, image, Tile { items, triangles, rows });
-        };
-        if triangles == 0 || request.items == 0 {
-            return;
-        }
-        if request.items == 1 {
-            let per_tile = triangles.div_ceil(threads);
-            let tile = |(k, rows): (usize, &mut [f64])| {
-                run(0..1, k * per_tile..((k + 1) * per_tile).min(triangles), rows);
-            };
-            each(threads, sums.data_mut(), per_tile * row_len, tile);
+        let Some(cut) = Cut::new(level, request) else { return };
+        let work = self.work(level, request);
+        let rows = sums.data_mut();
+        let len = cut.rows * Sums::row_len(level.modes);
+        // On this thread where one is enough, which allocates nothing.
+        if cut.threads == 1 {
+            rows.chunks_mut(len).enumerate().for_each(|(k, rows)| work.accumulate(&cut.tile(k), rows));
         } else {
-            let per_tile = request.items.div_ceil(threads).min(POSES_PER_PASS);
-            let tile = |(k, rows): (usize, &mut [f64])| {
-                run(k * per_tile..((k + 1) * per_tile).min(request.items), 0..triangles, rows);
-            };
-            each(threads, sums.data_mut(), per_tile * triangles * row_len, tile);
+            rows.par_chunks_mut(len).enumerate().for_each(|(k, rows)| work.accumulate(&cut.tile(k), rows));
         }
+    }
+
+    fn linearize_fast(&self, level: &FastLevel, request: &Request<'_>, out: &mut Linearization) {
+        let Some(cut) = Cut::new(level, request) else { return };
+        let work = self.work(level, request);
+        let (first, second) = out.data_mut();
+        let first = first.par_chunks_mut(cut.rows * Sums::row_len(level.modes));
+        let second = second.par_chunks_mut(cut.rows * Linearization::row_len(level.modes));
+        first.zip(second).enumerate().for_each(|(k, (first, second))| {
+            work.linearize(&cut.tile(k), first, second);
+        });
     }
 }
 
-/// Calls `tile` for every run of `len` numbers; on this thread where one is enough, which allocates nothing.
-fn each(threads: usize, data: &mut [f64], len: usize, tile: impl Fn((usize, &mut [f64])) + Send + Sync) {
-    if threads == 1 {
-        data.chunks_mut(len).enumerate().for_each(tile);
-    } else {
-        data.par_chunks_mut(len).enumerate().for_each(tile);
+/// How the rows are cut into tiles that are worth a thread: runs of poses, or of triangles for a single pose.
+struct Cut {
+    items: usize,
+    triangles: usize,
+    /// Rows of a tile.
+    rows: usize,
+    threads: usize,
+}
+
+impl Cut {
+    /// `None` if there is nothing to do.
+    fn new(level: &FastLevel, request: &Request<'_>) -> Option<Self> {
+        let (items, triangles) = (request.items, level.triangles.len());
+        let work = items * level.padded_pixels();
+        let threads = (work / PIXELS_PER_THREAD).clamp(1, rayon::current_num_threads());
+        let rows = if items == 1 {
+            triangles.div_ceil(threads)
+        } else {
+            items.div_ceil(threads).min(POSES_PER_PASS) * triangles
+        };
+        (rows > 0).then_some(Self { items, triangles, rows, threads })
+    }
+
+    fn tile(&self, number: usize) -> Tile {
+        let Self { items, triangles, rows, .. } = *self;
+        let (from, to) = (number * rows, ((number + 1) * rows).min(items * triangles));
+        if items == 1 {
+            Tile { items: 0..1, triangles: from..to }
+        } else {
+            Tile { items: from / triangles..to / triangles, triangles: 0..triangles }
+        }
     }
 }
 
@@ -252,6 +270,21 @@ fn accumulate_twin(level: &LevelTemplate, request: &Request<'_>, image: &GrayIma
         let appearance = &request.appearance[item * modes..][..modes];
         if warp.active {
             accumulate::accumulate(&level.pixels, &level.charts[triangle], warp, appearance, image, row);
+        }
+    });
+}
+
+fn linearize_twin(level: &LevelTemplate, request: &Request<'_>, image: &GrayImage, out: &mut Linearization) {
+    let (triangles, modes) = (level.charts.len(), level.pixels.modes.len());
+    let (first, second) = out.data_mut();
+    let rows =
+        first.par_chunks_mut(Sums::row_len(modes)).zip(second.par_chunks_mut(Linearization::row_len(modes)));
+    rows.with_min_len(16).enumerate().for_each(|(i, rows)| {
+        let warp = &request.warps[i];
+        let (item, triangle) = (i / triangles, i % triangles);
+        let appearance = &request.appearance[item * modes..][..modes];
+        if warp.active {
+            linearize::linearize(&level.pixels, &level.charts[triangle], warp, appearance, image, rows);
         }
     });
 }

@@ -3,10 +3,8 @@
 
 use std::ops::Range;
 
-use nalgebra::Vector2;
-
 use super::buffers::DeviceLevel;
-use crate::backend::local::to_origin;
+use crate::backend::local::{second_to_origin, to_origin};
 use crate::backend::{Linearization, Sums};
 
 /// Numbers of a row of [`Sums`] before the modes, on the host and, padded, on the device.
@@ -56,7 +54,7 @@ pub(super) fn add_linearization(
         let rows = first.chunks_exact_mut(first_len).zip(second.chunks_exact_mut(second_len));
         for ((first, second), centre) in rows.zip(&level.centres) {
             to_origin(&mut first[..6], *centre);
-            second[..18].chunks_exact_mut(6).for_each(|block| move_second(block, centre));
+            second_to_origin(&mut second[..18], *centre);
             to_origin(&mut second[18..], *centre);
         }
     }
@@ -81,14 +79,4 @@ fn add_second(row: &mut [f64], partial: &[f32]) {
             *sum += f64::from(plane[mode % 4]);
         }
     }
-}
-
-/// [`to_origin`] for sums of x (u^2, u v, u, v^2, v, 1).
-fn move_second(sums: &mut [f64], c: &Vector2<f64>) {
-    let [uu, uv, u, vv, v, one] = [0, 1, 2, 3, 4, 5].map(|k| sums[k]);
-    sums[0] = uu + 2.0 * c.x * u + c.x * c.x * one;
-    sums[1] = uv + c.x * v + c.y * u + c.x * c.y * one;
-    sums[2] = u + c.x * one;
-    sums[3] = vv + 2.0 * c.y * v + c.y * c.y * one;
-    sums[4] = v + c.y * one;
 }

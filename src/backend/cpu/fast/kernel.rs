@@ -20,9 +20,9 @@ pub(super) struct Scratch {
     /// 1 inside the image, 0 outside and for padding.
     pub(super) inside: [f32; BLOCK],
     /// T0 + sum lambda_k T_k.
-    template: [f32; BLOCK],
+    pub(super) template: [f32; BLOCK],
     /// q r.
-    weighted: [f32; BLOCK],
+    pub(super) weighted: [f32; BLOCK],
 }
 
 impl Default for Scratch {
@@ -50,6 +50,22 @@ pub(super) fn add_block<S: Simd, const INSIDE: bool>(
     scratch: &mut Scratch,
     row: &mut [f64],
 ) {
+    look::<S, INSIDE>(simd, block, warp, appearance, image, scratch);
+    let (first, modes) = row.split_at_mut(11);
+    sum_texels::<S, INSIDE>(simd, block, appearance.is_empty(), scratch, first);
+    project(simd, block, scratch, modes);
+}
+
+/// What the image and the template show at the pixels of a block.
+#[inline(always)]
+pub(super) fn look<S: Simd, const INSIDE: bool>(
+    simd: S,
+    block: &Block<'_>,
+    warp: &LocalWarp,
+    appearance: &[f32],
+    image: &Pairs,
+    scratch: &mut Scratch,
+) {
     if INSIDE {
         locate_inside(simd, block, warp, image, scratch);
     } else {
@@ -58,9 +74,6 @@ pub(super) fn add_block<S: Simd, const INSIDE: bool>(
     let n = block.positions.len();
     image.quads(&scratch.index[..n], &mut scratch.quad[..n]);
     blend(simd, block, appearance, scratch);
-    let (first, modes) = row.split_at_mut(11);
-    sum_texels::<S, INSIDE>(simd, block, appearance.is_empty(), scratch, first);
-    project(simd, block, scratch, modes);
 }
 
 // Loops instead of `map`: without optimisation across crates `map` is not inlined, and vectors go through memory.
@@ -120,7 +133,7 @@ fn blend_some<S: Simd, const N: usize>(
 
 /// The first modes, each of length `n`.
 #[inline(always)]
-fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
+pub(super) fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
     let mut columns: [&[f32]; N] = [&[]; N];
     for k in 0..N {
         columns[k] = &modes[k * n..][..n];
@@ -174,28 +187,35 @@ fn sum_texels<S: Simd, const INSIDE: bool>(
 }
 
 #[inline(always)]
-fn load<S: Simd>(simd: S, values: &[f32], at: &std::ops::Range<usize>) -> S::f32s {
+pub(super) fn load<S: Simd>(simd: S, values: &[f32], at: &std::ops::Range<usize>) -> S::f32s {
     S::f32s::from_slice(simd, &values[at.start..at.end])
 }
 
 /// Grey values between the four pixels, bilinear.
 #[inline(always)]
 fn sample<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> S::f32s {
-    let quad = S::u32s::from_slice(simd, &scratch.quad[at.clone()]);
-    let quad: S::i32s = quad.bitcast();
     let (fu, fv) = (load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at));
-    let upper_left: S::f32s = (quad & 255).to_float();
-    let lower_left: S::f32s = ((quad >> 8) & 255).to_float();
-    let upper_right: S::f32s = ((quad >> 16) & 255).to_float();
-    let lower_right: S::f32s = ((quad >> 24) & 255).to_float();
+    let [upper_left, lower_left, upper_right, lower_right] = neighbours(simd, scratch, at);
     let upper = fu.mul_add(upper_right - upper_left, upper_left);
     let lower = fu.mul_add(lower_right - lower_left, lower_left);
     fv.mul_add(lower - upper, upper)
 }
 
+/// The four pixels around positions: upper left, lower left, upper right, lower right.
+#[inline(always)]
+pub(super) fn neighbours<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> [S::f32s; 4] {
+    let quad = S::u32s::from_slice(simd, &scratch.quad[at]);
+    let quad: S::i32s = quad.bitcast();
+    let upper_left: S::f32s = (quad & 255).to_float();
+    let lower_left: S::f32s = ((quad >> 8) & 255).to_float();
+    let upper_right: S::f32s = ((quad >> 16) & 255).to_float();
+    let lower_right: S::f32s = ((quad >> 24) & 255).to_float();
+    [upper_left, lower_left, upper_right, lower_right]
+}
+
 /// sum q r T_k, up to four modes at a time.
 #[inline(always)]
-fn project<S: Simd>(simd: S, block: &Block<'_>, scratch: &Scratch, row: &mut [f64]) {
+pub(super) fn project<S: Simd>(simd: S, block: &Block<'_>, scratch: &Scratch, row: &mut [f64]) {
     let n = block.positions.len();
     for (k, sums) in row.chunks_mut(4).enumerate() {
         let modes = &block.modes[4 * k * n..];

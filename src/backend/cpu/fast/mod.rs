@@ -1,14 +1,17 @@
-//! Second implementation of `accumulate`: f32 in vectors as wide as the processor has, for speed.
+//! Second implementation of `accumulate` and `linearize`: f32 in vectors as wide as the processor has, for speed.
 //!
-//! The twin `super::accumulate` says what is computed and is what this is tested against. Pixels of a triangle come
+//! The twins `super::accumulate` and `super::linearize` say what is computed and are what this is tested against. Pixels of a triangle come
 //! in blocks; sums over a block are f32, sums over blocks f64. Every row is added up by one thread in a fixed order, so
 //! the same input gives the same bytes however many threads there are.
 
 mod kernel;
+mod linearize;
 mod locate;
 mod pairs;
 mod scan;
 mod template;
+
+use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 
@@ -17,12 +20,13 @@ pub(in crate::backend) use scan::FastScanner;
 pub(super) use template::FastLevel;
 
 use kernel::Scratch;
+use linearize::LinearScratch;
 use locate::is_inside;
 use template::Triangle;
 
 use super::Instructions;
-use crate::backend::local::{LocalWarp, to_origin};
-use crate::backend::{Request, Sums};
+use crate::backend::local::{LocalWarp, second_to_origin, to_origin};
+use crate::backend::{Linearization, Request, Sums};
 
 /// Pixels per block: sums of so few terms lose nothing in f32, and all columns of a block stay in the first-level
 /// cache.
@@ -53,55 +57,102 @@ pub(super) fn name(level: Level) -> String {
     format!("{level:?}").split('(').next().unwrap_or_default().to_lowercase()
 }
 
-/// A run of triangles of a run of poses.
+/// A run of triangles of a run of poses; their rows are pose by pose.
 #[derive(Debug)]
-pub(super) struct Tile<'a> {
-    /// Poses and triangles of the request to add up; rows are pose by pose.
-    pub(super) items: std::ops::Range<usize>,
-    pub(super) triangles: std::ops::Range<usize>,
-    pub(super) rows: &'a mut [f64],
+pub(super) struct Tile {
+    pub(super) items: Range<usize>,
+    pub(super) triangles: Range<usize>,
 }
 
-/// Adds up the rows of a tile; all poses of a triangle while its pixels are in the cache.
-pub(super) fn accumulate(
-    level: Level,
-    template: &FastLevel,
-    request: &Request<'_>,
-    image: &Pairs,
-    tile: Tile<'_>,
-) {
-    let mut scratch = Scratch::default();
-    let (all, modes, row_len) = (template.triangles.len(), template.modes, Sums::row_len(template.modes));
-    for (i, t) in tile.triangles.clone().enumerate() {
-        let triangle = &template.triangles[t];
-        for (k, item) in tile.items.clone().enumerate() {
-            let warp = &request.warps[item * all + t];
-            if !warp.active {
-                continue;
-            }
-            let local = LocalWarp::new(warp, triangle.centre);
-            let appearance = &request.appearance[item * modes..][..modes];
-            let row = &mut tile.rows[(k * tile.triangles.len() + i) * row_len..][..row_len];
-            let call = Call { template, triangle, warp: &local, appearance, image };
-            if is_inside(&local, triangle.reach, image) {
-                dispatch!(level, simd => add_triangle::<_, true>(simd, &call, &mut scratch, row));
-                row[7] += triangle.weight;
-                row[8] += triangle.count();
-            } else {
-                dispatch!(level, simd => add_triangle::<_, false>(simd, &call, &mut scratch, row));
-            }
-            to_origin(&mut row[..6], triangle.centre);
-        }
-    }
+/// What a request is about.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Work<'a> {
+    pub(super) level: Level,
+    pub(super) template: &'a FastLevel,
+    pub(super) request: &'a Request<'a>,
+    pub(super) image: &'a Pairs,
 }
 
 /// One triangle at one pose.
 struct Call<'a> {
     template: &'a FastLevel,
     triangle: &'a Triangle,
-    warp: &'a LocalWarp,
+    warp: LocalWarp,
     appearance: &'a [f32],
     image: &'a Pairs,
+}
+
+impl Call<'_> {
+    fn is_inside(&self) -> bool {
+        is_inside(&self.warp, self.triangle.reach, self.image)
+    }
+
+    /// The sums of a chart that lies inside the image which do not depend on the pose.
+    fn add_whole(&self, row: &mut [f64]) {
+        row[7] += self.triangle.weight;
+        row[8] += self.triangle.count();
+    }
+}
+
+impl Work<'_> {
+    /// Adds up the rows of a tile; all poses of a triangle while its pixels are in the cache.
+    pub(super) fn accumulate(&self, tile: &Tile, rows: &mut [f64]) {
+        let mut scratch = Scratch::default();
+        let row_len = Sums::row_len(self.template.modes);
+        self.each(tile, |call, k| {
+            let row = &mut rows[k * row_len..][..row_len];
+            if call.is_inside() {
+                dispatch!(self.level, simd => add_triangle::<_, true>(simd, &call, &mut scratch, row));
+                call.add_whole(row);
+            } else {
+                dispatch!(self.level, simd => add_triangle::<_, false>(simd, &call, &mut scratch, row));
+            }
+            to_origin(&mut row[..6], call.triangle.centre);
+        });
+    }
+
+    /// The same for the rows of both orders.
+    pub(super) fn linearize(&self, tile: &Tile, first: &mut [f64], second: &mut [f64]) {
+        let mut scratch = LinearScratch::default();
+        let modes = self.template.modes;
+        let [first_len, second_len] = [Sums::row_len(modes), Linearization::row_len(modes)];
+        self.each(tile, |call, k| {
+            let (first, second) =
+                (&mut first[k * first_len..][..first_len], &mut second[k * second_len..][..second_len]);
+            if call.is_inside() {
+                dispatch!(self.level, simd => {
+                    linearize_triangle::<_, true>(simd, &call, &mut scratch, first, second);
+                });
+                call.add_whole(first);
+            } else {
+                dispatch!(self.level, simd => {
+                    linearize_triangle::<_, false>(simd, &call, &mut scratch, first, second);
+                });
+            }
+            to_origin(&mut first[..6], call.triangle.centre);
+            second_to_origin(&mut second[..18], call.triangle.centre);
+            to_origin(&mut second[18..], call.triangle.centre);
+        });
+    }
+
+    /// Visits the triangles of a tile that take part, with the number of their row.
+    #[inline(always)]
+    fn each(&self, tile: &Tile, mut visit: impl FnMut(Call<'_>, usize)) {
+        let Self { template, request, image, .. } = *self;
+        let (all, modes) = (template.triangles.len(), template.modes);
+        for (i, t) in tile.triangles.clone().enumerate() {
+            let triangle = &template.triangles[t];
+            for (k, item) in tile.items.clone().enumerate() {
+                let warp = &request.warps[item * all + t];
+                if !warp.active {
+                    continue;
+                }
+                let warp = LocalWarp::new(warp, triangle.centre);
+                let appearance = &request.appearance[item * modes..][..modes];
+                visit(Call { template, triangle, warp, appearance, image }, k * tile.triangles.len() + i);
+            }
+        }
+    }
 }
 
 #[inline(always)]
@@ -114,5 +165,20 @@ fn add_triangle<S: Simd, const INSIDE: bool>(
     let Call { template, triangle, warp, appearance, image } = call;
     for block in template.blocks(triangle) {
         kernel::add_block::<S, INSIDE>(simd, &block, warp, appearance, image, scratch, row);
+    }
+}
+
+#[inline(always)]
+fn linearize_triangle<S: Simd, const INSIDE: bool>(
+    simd: S,
+    call: &Call<'_>,
+    scratch: &mut LinearScratch,
+    first: &mut [f64],
+    second: &mut [f64],
+) {
+    let Call { template, triangle, warp, appearance, image } = call;
+    for block in template.blocks(triangle) {
+        let rows = (&mut *first, &mut *second);
+        linearize::add_block::<S, INSIDE>(simd, &block, warp, appearance, image, scratch, rows);
     }
 }
