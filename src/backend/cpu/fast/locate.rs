@@ -22,9 +22,9 @@ pub(super) fn is_inside(warp: &LocalWarp, reach: [f32; 2], image: &Pairs) -> boo
     let last = [image.width as f32 - 1.0, image.height as f32 - 1.0];
     [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].iter().all(|[u, v]| {
         let [x, y, depth] = warp.rows.map(|[a, b, c]| a * (u * reach[0]) + b * (v * reach[1]) + c);
+        // Without divisions: x / depth is relative to the base.
         let inside = |x: f32, k: usize| {
-            let x = x / depth + warp.base[k];
-            x >= MARGIN && x <= last[k] - MARGIN
+            x >= (MARGIN - warp.base[k]) * depth && x <= (last[k] - MARGIN - warp.base[k]) * depth
         };
         depth > 0.0 && inside(x, 0) && inside(y, 1)
     })
@@ -39,8 +39,7 @@ pub(super) fn locate_inside<S: Simd>(
     image: &Pairs,
     scratch: &mut Scratch,
 ) {
-    let [row_u, row_v, row_w] = warp.rows;
-    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
+    let [row_u, row_v, row_w] = rows(simd, warp);
     #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
     let stride = image.width as f32;
     // The index of a pixel is exact in f32.
@@ -68,8 +67,7 @@ pub(super) fn locate<S: Simd>(
     image: &Pairs,
     scratch: &mut Scratch,
 ) {
-    let [row_u, row_v, row_w] = warp.rows;
-    let (row_u, row_v, row_w) = (splat(simd, row_u), splat(simd, row_v), splat(simd, row_w));
+    let [row_u, row_v, row_w] = rows(simd, warp);
     let [base_u, base_v] = splat(simd, warp.base);
     #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
     let [last_u, last_v] = splat(simd, [image.width as f32 - 1.0, image.height as f32 - 1.0]);
@@ -98,6 +96,12 @@ pub(super) fn locate<S: Simd>(
         inside.select(one, zero).store_slice(&mut scratch.inside[at]);
     }
     scratch.inside[block.pixels..block.positions.len()].fill(0.0);
+}
+
+#[inline(always)]
+fn rows<S: Simd>(simd: S, warp: &LocalWarp) -> [[S::f32s; 3]; 3] {
+    let [row_u, row_v, row_w] = warp.rows;
+    [splat(simd, row_u), splat(simd, row_v), splat(simd, row_w)]
 }
 
 /// A row of a warp times (u, v, 1).
