@@ -4,6 +4,8 @@
 mod bad_input;
 #[path = "cli/bad_output.rs"]
 mod bad_output;
+#[path = "cli/cell.rs"]
+mod cell;
 #[path = "cli/first_pose.rs"]
 mod first_pose;
 #[path = "cli/method.rs"]
