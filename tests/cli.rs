@@ -138,6 +138,7 @@ fn check_details(path: &Path) {
             "frame",
             "status",
             "probability",
+            "spread_px",
             "camera_from_object",
             "appearance",
             "covariance_ros",
