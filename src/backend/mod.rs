@@ -85,6 +85,17 @@ impl Request<'_> {
     }
 }
 
+/// What has crossed between host and device so far, on behalf of a backend and of all that share its device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Traffic {
+    /// Times that work was handed to the device.
+    pub submits: u64,
+    /// Times that results were waited for and read.
+    pub maps: u64,
+    /// Bytes read back.
+    pub bytes_read: u64,
+}
+
 /// Does the image work. One frame is current at a time.
 pub trait Backend: Send {
     /// What a person calls it: `cpu`, or the adapter's name.
@@ -97,6 +108,11 @@ pub trait Backend: Send {
     /// [`crate::Error::Invalid`] if this backend cannot be shared, which is the default.
     fn another(&self) -> Result<Box<dyn Backend>> {
         Err(Error::invalid("backend", format!("{} cannot be shared", self.name()), "open one per stream"))
+    }
+
+    /// What has crossed to and from a device; nothing where there is none.
+    fn traffic(&self) -> Traffic {
+        Traffic::default()
     }
 
     /// Makes a model available.

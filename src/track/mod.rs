@@ -21,7 +21,7 @@ use std::time::Instant;
 use image::GrayImage;
 
 use crate::align::{Aligner, PoseEstimate, Start};
-use crate::backend::{Backend, ModelId};
+use crate::backend::{Backend, ModelId, Traffic};
 use crate::error::Result;
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
@@ -143,6 +143,11 @@ impl Tracker {
     /// Name of the backend in use.
     pub fn backend_name(&self) -> String {
         self.backend.name()
+    }
+
+    /// What has crossed to and from the device so far, for this stream and all that share its device.
+    pub fn traffic(&self) -> Traffic {
+        self.backend.traffic()
     }
 
     /// Probability that the pose of an estimate is right, as the model was calibrated.

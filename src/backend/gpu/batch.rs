@@ -150,7 +150,7 @@ impl Batch {
             pass.dispatch_workgroups(chunks.min(MAX_GROUPS), small(part.items), chunks.div_ceil(MAX_GROUPS));
             drop(pass);
             encoder.copy_buffer_to_buffer(&bound.buffers[2], 0, staging, 0, sizes.sums);
-            context.queue.submit([encoder.finish()])
+            context.submit(encoder)
         });
         readback.read(context, submission?, sizes.sums, |data| write(bytemuck::cast_slice(data)))
     }

@@ -85,7 +85,7 @@ impl Frame {
                 self.write(context, &Pyramid::new(image.clone(), self.levels.len()));
             }
             // Also where nothing is encoded: otherwise uploads of frames nobody looks at would pile up.
-            context.queue.submit([encoder.finish()]);
+            context.submit(encoder);
         })
     }
 
@@ -110,7 +110,7 @@ impl Frame {
             let mut encoder = context.device.create_command_encoder(&CommandEncoderDescriptor::default());
             let target = TexelCopyBufferInfo { buffer, layout: rows(stride, *height) };
             encoder.copy_texture_to_buffer(texture.as_image_copy(), target, extent);
-            context.queue.submit([encoder.finish()])
+            context.submit(encoder)
         })?;
         readback.read(context, submission, bytes, |data| {
             GrayImage::from_fn(*width, *height, |x, y| image::Luma([data[(y * stride + x) as usize]]))

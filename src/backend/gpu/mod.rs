@@ -23,8 +23,8 @@ use nalgebra::Matrix3;
 use wgpu::{BindGroupLayout, ComputePipeline};
 
 use super::{
-    Backend, Implementation, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, TriangleWarp,
-    scanning,
+    Backend, Implementation, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, Traffic,
+    TriangleWarp, scanning,
 };
 use crate::error::{Error, Result};
 use crate::model::{LevelTemplate, Model};
@@ -236,6 +236,10 @@ impl Backend for GpuBackend {
             batch: Batch::default(),
             readback: Readback::default(),
         }))
+    }
+
+    fn traffic(&self) -> Traffic {
+        self.context.traffic()
     }
 
     fn load(&mut self, model: &Model) -> Result<ModelId> {
