@@ -54,6 +54,11 @@ impl<'a> LevelProblem<'a> {
             shape: &target.model.shape,
         }
     }
+
+    /// Number of appearance modes.
+    pub(super) fn modes(&self) -> usize {
+        self.level.pixels.modes.len()
+    }
 }
 
 /// The sums of one pose, one row per triangle.

@@ -113,6 +113,7 @@ impl Batch {
             let items = at_once.min(request.items - first);
             let part = Request {
                 items,
+                frames: request.frames.get(first..first + items).unwrap_or_default(),
                 warps: &request.warps[first * triangles..][..items * triangles],
                 appearance: &request.appearance[first * modes..][..items * modes],
                 ..*request
@@ -159,9 +160,11 @@ impl Batch {
     fn encode_poses(&mut self, level: &DeviceLevel, part: &Request<'_>) {
         let (triangles, modes) = (level.centres.len(), level.modes);
         self.warps.clear();
-        for warps in part.warps.chunks_exact(triangles.max(1)) {
-            self.warps
-                .extend(warps.iter().zip(&level.centres).map(|(warp, centre)| Warp::new(warp, *centre)));
+        for (item, warps) in part.warps.chunks_exact(triangles.max(1)).enumerate() {
+            // Frames are layers of a texture, of which no device has more.
+            let frame = u16::try_from(part.frame_of(item)).unwrap_or(u16::MAX);
+            let of_triangle = |(warp, centre): (&_, &_)| Warp::new(warp, *centre, frame);
+            self.warps.extend(warps.iter().zip(&level.centres).map(of_triangle));
         }
         self.appearance.clear();
         for lambda in part.appearance.chunks_exact(modes.max(1)) {

@@ -41,6 +41,7 @@ impl Context {
             max_storage_buffer_binding_size: summary.max_binding_bytes,
             max_buffer_size: summary.max_buffer_bytes,
             max_texture_dimension_2d: summary.max_image_side,
+            max_texture_array_layers: summary.max_layers,
             ..Limits::default().or_worse_values_from(&adapter.limits())
         };
         let descriptor = wgpu::DeviceDescriptor {
