@@ -179,10 +179,15 @@ impl Tracker {
             Some(motion) => self.track_from(motion, image, tracked)?,
             None => self.find_first(image, tracked)?,
         }
+        self.conclude(began, tracked);
+        Ok(())
+    }
+
+    /// Goes on from what came of a frame.
+    fn conclude(&mut self, began: Instant, tracked: &mut Tracked) {
         self.course.follow(tracked.status, &tracked.estimate);
         tracked.rate(&self.model);
         (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
-        Ok(())
     }
 
     fn track_from(&mut self, motion: Motion, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {
