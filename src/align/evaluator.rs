@@ -10,7 +10,7 @@ use super::derivative::SecondRows;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::score::Score;
-use super::workspace::Scratch;
+use super::workspace::{Worker, for_each};
 use super::{PoseEstimate, Start, Target};
 use crate::backend::{Backend, Linearization, ModelId, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
@@ -75,38 +75,41 @@ pub(super) fn finish<'a>(
     targets: &[Target<'_>],
     ends: impl Iterator<Item = End<'a>> + Clone,
     evaluation: &mut Evaluation,
-    scratch: &mut Scratch,
+    workers: &mut [Worker],
     estimates: &mut Vec<PoseEstimate>,
 ) -> Result<()> {
     estimates.resize_with(ends.clone().count(), PoseEstimate::default);
-    for (estimate, end) in estimates.iter_mut().zip(ends.clone()) {
-        estimate.covariance = covariance(end.equations, end.response, &mut scratch.solver);
-        estimate.hessian = end.equations.pose_hessian(&mut scratch.solver);
-        estimate.rms = if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 };
+    for_each(estimates.iter_mut().zip(ends.clone()), workers, |_, (estimate, end), worker| {
+        let (equations, solver) = (end.equations, &mut worker.scratch.solver);
+        estimate.covariance = covariance(equations, end.response, solver);
+        estimate.hessian = equations.pose_hessian(solver);
+        estimate.rms = if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 };
         estimate.camera_from_object = end.sight.state.pose;
         estimate.appearance.clone_from(&end.sight.state.appearance);
         (estimate.iterations, estimate.converged) = (end.iterations, end.converged);
-    }
-    let sights = ends.map(|end| end.sight);
-    scores(backend, targets, sights, evaluation, &mut scratch.values, |k, score| estimates[k].score = score)
+    });
+    let scores_of = estimates.iter_mut().map(|estimate| &mut estimate.score);
+    scores(backend, targets, ends.map(|end| end.sight), scores_of, evaluation, workers)
 }
 
-/// The scores of states by their number, the same measure for every method.
-pub(super) fn scores<'s>(
+/// The scores of states, the same measure for every method.
+fn scores<'s>(
     backend: &mut dyn Backend,
     targets: &[Target<'_>],
     sights: impl Iterator<Item = Sight<'s>> + Clone,
+    scores: impl Iterator<Item = &'s mut Score>,
     evaluation: &mut Evaluation,
-    values: &mut Vec<f64>,
-    mut scored: impl FnMut(usize, Score),
+    workers: &mut [Worker],
 ) -> Result<()> {
     let level = SCORE_LEVEL.min(targets[0].model.levels.len() - 1);
     let problem = LevelProblem::new(&targets[0], level, Grouping::FaceAndView);
     let mut evaluator = Evaluator::new(backend, targets, &problem, evaluation);
     evaluator.evaluate(sights.clone())?;
-    for (k, Sight { state, visibility, .. }) in sights.enumerate() {
-        scored(k, Score::new(problem.level, &evaluator.rows(k), visibility, &state.appearance, values));
-    }
+    let rows = evaluator.all_rows();
+    for_each(sights.zip(scores), workers, |k, (sight, score), worker| {
+        let (values, lambda) = (&mut worker.scratch.values, &sight.state.appearance);
+        *score = Score::new(problem.level, &rows(k), sight.visibility, lambda, values);
+    });
     Ok(())
 }
 
@@ -117,11 +120,11 @@ pub(super) fn score(
     state: &State,
     visibility: &[f64],
 ) -> Result<Score> {
-    let (mut evaluation, mut values, mut found) = (Evaluation::default(), Vec::new(), Score::default());
+    let (mut evaluation, mut worker, mut found) =
+        (Evaluation::default(), Worker::default(), Score::default());
+    let (targets, workers) = (std::slice::from_ref(target), std::slice::from_mut(&mut worker));
     let sights = std::iter::once(Sight { frame: 0, state, visibility });
-    scores(backend, std::slice::from_ref(target), sights, &mut evaluation, &mut values, |_, score| {
-        found = score;
-    })?;
+    scores(backend, targets, sights, std::iter::once(&mut found), &mut evaluation, workers)?;
     Ok(found)
 }
 

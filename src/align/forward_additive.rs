@@ -9,7 +9,7 @@ use super::levenberg_marquardt::{State, Stop, solve};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::robust::{Redescent, triangle_weights};
 use super::visibility::visibility;
-use super::workspace::Scratch;
+use super::workspace::{Scratch, Worker};
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
@@ -167,12 +167,19 @@ impl Aligner for ForwardAdditive {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         check(target, starts)?;
-        let (mut evaluation, mut scratch) = (Evaluation::default(), Scratch::default());
+        let (mut evaluation, mut worker) = (Evaluation::default(), Worker::default());
         let mut descents: Vec<Descent> = starts.iter().map(Descent::new).collect();
         for level in tracked_levels(target.model) {
-            self.level(backend, target, level, &mut descents, &mut evaluation, &mut scratch)?;
+            self.level(backend, target, level, &mut descents, &mut evaluation, &mut worker.scratch)?;
         }
         let ends = descents.iter().map(Descent::ended);
-        finish(backend, std::slice::from_ref(target), ends, &mut evaluation, &mut scratch, estimates)
+        finish(
+            backend,
+            std::slice::from_ref(target),
+            ends,
+            &mut evaluation,
+            std::slice::from_mut(&mut worker),
+            estimates,
+        )
     }
 }

@@ -78,27 +78,27 @@ impl Workspace {
         let began = Instant::now();
         let Self { descents, evaluation, workers, times } = self;
         let ends = descents.iter().map(Descent::ended);
-        finish(backend, targets, ends, evaluation, &mut workers[0].scratch, estimates)?;
+        finish(backend, targets, ends, evaluation, workers, estimates)?;
         times.score_ms = ms_since(began);
         Ok(())
     }
 }
 
-/// Does a task for every descent, which is given its number among them: on this thread if there is one worker, which
-/// allocates nothing, else with all of them.
-pub(super) fn for_each<'d>(
-    descents: impl Iterator<Item = &'d mut Descent>,
+/// Does a task for every item, which comes with its number: on this thread if there is one worker, which allocates
+/// nothing, else with all of them.
+pub(super) fn for_each<T: Send>(
+    items: impl Iterator<Item = T>,
     workers: &mut [Worker],
-    task: impl Fn(usize, &mut Descent, &mut Worker) + Sync,
+    task: impl Fn(usize, T, &mut Worker) + Sync,
 ) {
     if let [worker] = workers {
-        descents.enumerate().for_each(|(k, descent)| task(k, descent, worker));
+        items.enumerate().for_each(|(k, item)| task(k, item, worker));
         return;
     }
-    let mut all: Vec<_> = descents.enumerate().collect();
+    let all: Vec<_> = items.enumerate().collect();
     let share = all.len().div_ceil(workers.len()).max(1);
-    all.par_chunks_mut(share).zip(workers).for_each(|(part, worker)| {
-        part.iter_mut().for_each(|(k, descent)| task(*k, descent, worker));
+    all.into_par_iter().chunks(share).zip(workers).for_each(|(part, worker)| {
+        part.into_iter().for_each(|(k, item)| task(k, item, worker));
     });
 }
 

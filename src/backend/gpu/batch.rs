@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use bytemuck::Zeroable;
+use rayon::prelude::*;
 use wgpu::{
     BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor,
     ComputePipeline,
@@ -10,8 +12,9 @@ use wgpu::{
 use super::buffers::{DeviceLevel, Warp, small};
 use super::context::Context;
 use super::readback::Readback;
+use super::rows::{MANY, PER_THREAD};
 use super::shaders::Stage;
-use crate::backend::Request;
+use crate::backend::{Request, TriangleWarp};
 use crate::error::Result;
 
 /// Workgroups per dimension that every device has.
@@ -158,13 +161,22 @@ impl Batch {
 
     /// Fills the host copies of the poses.
     fn encode_poses(&mut self, level: &DeviceLevel, part: &Request<'_>) {
-        let (triangles, modes) = (level.centres.len(), level.modes);
-        self.warps.clear();
-        for (item, warps) in part.warps.chunks_exact(triangles.max(1)).enumerate() {
+        let (triangles, modes) = (level.centres.len().max(1), level.modes);
+        self.warps.resize(part.warps.len(), Warp::zeroed());
+        let encode = |(item, (out, warps)): (usize, (&mut [Warp], &[TriangleWarp]))| {
             // Frames are layers of a texture, of which no device has more.
             let frame = u16::try_from(part.frame_of(item)).unwrap_or(u16::MAX);
-            let of_triangle = |(warp, centre): (&_, &_)| Warp::new(warp, *centre, frame);
-            self.warps.extend(warps.iter().zip(&level.centres).map(of_triangle));
+            for ((out, warp), centre) in out.iter_mut().zip(warps).zip(&level.centres) {
+                *out = Warp::new(warp, *centre, frame);
+            }
+        };
+        if part.items < MANY {
+            let warps = part.warps.chunks_exact(triangles);
+            self.warps.chunks_exact_mut(triangles).zip(warps).enumerate().for_each(encode);
+        } else {
+            let warps = part.warps.par_chunks_exact(triangles);
+            let both = self.warps.par_chunks_exact_mut(triangles).zip(warps).enumerate();
+            both.with_min_len(PER_THREAD).for_each(encode);
         }
         self.appearance.clear();
         for lambda in part.appearance.chunks_exact(modes.max(1)) {

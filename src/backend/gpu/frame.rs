@@ -1,6 +1,7 @@
 //! The current frames, all of one size: one texture per pyramid level, one layer per frame.
 
 use image::GrayImage;
+use rayon::prelude::*;
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource,
     CommandEncoderDescriptor, Extent3d, Origin3d, SamplerDescriptor, TexelCopyBufferInfo,
@@ -80,10 +81,8 @@ impl Frames {
         self.count = small(images.len());
         context.scoped("uploading the frames", || {
             let mut encoder = context.device.create_command_encoder(&CommandEncoderDescriptor::default());
-            if let Some(halver) = &mut self.halver {
-                for (frame, image) in (0..).zip(images) {
-                    halver.upload(context, frame, image);
-                }
+            if let Some(halver) = &self.halver {
+                each(images, |frame, image| halver.upload(context, frame, image))?;
                 halver.encode(&mut encoder, self.count);
                 for (level, (buffer, stride)) in self.levels.iter().zip(halver.packed()) {
                     let source = TexelCopyBufferInfo { buffer, layout: rows(stride, level.size.1) };
@@ -92,13 +91,15 @@ impl Frames {
                     }
                 }
             } else {
-                for (frame, image) in (0..).zip(images) {
-                    self.write(context, frame, &Pyramid::new((*image).clone(), self.levels.len()));
-                }
+                each(images, |frame, image| {
+                    self.write(context, small(frame), &Pyramid::new(image.clone(), self.levels.len()));
+                    Ok(())
+                })?;
             }
             // Also where nothing is encoded: otherwise uploads of frames nobody looks at would pile up.
             context.submit(encoder);
-        })
+            Ok(())
+        })?
     }
 
     fn write(&self, context: &Context, frame: u32, pyramid: &Pyramid) {
@@ -134,14 +135,23 @@ impl Frames {
     }
 }
 
-/// Images of a size that fit into one texture, and into one buffer on their way there.
-pub(super) fn at_once(context: &Context, size: (u32, u32)) -> usize {
-    let in_a_buffer = context.max_bytes() / padded_bytes(size).max(1);
-    let frames = in_a_buffer.clamp(1, u64::from(context.adapter.max_layers));
-    usize::try_from(frames).unwrap_or(1)
+/// Does something with every image and its number, on all cores where there are several.
+fn each(images: &[&GrayImage], task: impl Fn(usize, &GrayImage) -> Result<()> + Sync) -> Result<()> {
+    match images {
+        [image] => task(0, image),
+        _ => images.par_iter().enumerate().try_for_each(|(k, image)| task(k, image)),
+    }
 }
 
 impl GpuBackend {
+    /// Images of a size that fit into one texture, and into one buffer where the device builds the pyramid.
+    pub(super) fn most_frames(&self, size: (u32, u32)) -> usize {
+        let layers = u64::from(self.context.adapter.max_layers);
+        let in_a_buffer = self.context.max_bytes() / padded_bytes(size).max(1);
+        let frames = if self.downsample.is_some() { layers.min(in_a_buffer) } else { layers };
+        usize::try_from(frames.max(1)).unwrap_or(1)
+    }
+
     /// Reads a pyramid level of a current frame back, for tests and pictures.
     ///
     /// # Errors
@@ -178,7 +188,7 @@ impl GpuBackend {
             let problem = format!("one of {size:?} pixels and one of {other:?}");
             return Err(Error::invalid("frames", problem, "frames of one call have one size"));
         }
-        let most = at_once(&self.context, size);
+        let most = self.most_frames(size);
         if images.len() > most {
             let problem = format!("{} of {size:?} pixels, the device takes {most}", images.len());
             return Err(Error::invalid("frames", problem, "ask frames_at_once first"));

@@ -1,7 +1,7 @@
 //! The pyramid built by the device: the `downsample` stage from packed rows to packed rows.
 
 use image::GrayImage;
-use wgpu::{BindGroup, Buffer, BufferUsages, CommandEncoder, ComputePipeline};
+use wgpu::{BindGroup, Buffer, BufferSize, BufferUsages, CommandEncoder, ComputePipeline};
 
 use super::buffers::Halving;
 use super::context::Context;
@@ -16,8 +16,6 @@ pub(super) struct Halver {
     workgroup: u32,
     images: Vec<Packed>,
     steps: Vec<(Halving, BindGroup)>,
-    /// The full-size image with padded rows.
-    scratch: Vec<u8>,
 }
 
 /// Images of some frames one after the other in a buffer, one byte per pixel, rows padded for copies to textures.
@@ -64,22 +62,23 @@ impl Halver {
             (images, steps)
         })?;
         let workgroup = partition.workgroup;
-        Ok(Self { pipeline: pipeline.clone(), workgroup, images, steps, scratch: Vec::new() })
+        Ok(Self { pipeline: pipeline.clone(), workgroup, images, steps })
     }
 
     /// Puts the full-size image of a frame into its place in the buffer.
-    pub(super) fn upload(&mut self, context: &Context, frame: u32, image: &GrayImage) {
-        let (Packed { buffer, stride, .. }, width) = (&self.images[0], image.width() as usize);
-        if image.as_raw().is_empty() {
-            return;
+    ///
+    /// # Errors
+    /// [`crate::Error::Gpu`] if the device has no memory for it on its way.
+    pub(super) fn upload(&self, context: &Context, frame: usize, image: &GrayImage) -> Result<()> {
+        let (bytes, Packed { buffer, stride }) = (padded_bytes(image.dimensions()), &self.images[0]);
+        let Some(size) = BufferSize::new(bytes) else { return Ok(()) };
+        let view = context.queue.write_buffer_with(buffer, frame as u64 * bytes, size);
+        let mut view = view.ok_or_else(|| context.fault("uploading a frame", "no memory to write to"))?;
+        let (width, stride) = (image.width() as usize, *stride as usize);
+        for (k, row) in image.as_raw().chunks_exact(width).enumerate() {
+            view.slice(k * stride..k * stride + width).copy_from_slice(row);
         }
-        self.scratch.resize(*stride as usize * image.height() as usize, 0);
-        let rows = self.scratch.chunks_exact_mut(*stride as usize).zip(image.as_raw().chunks_exact(width));
-        for (padded, row) in rows {
-            padded[..width].copy_from_slice(row);
-        }
-        let offset = u64::from(frame) * padded_bytes(image.dimensions());
-        context.queue.write_buffer(buffer, offset, &self.scratch);
+        Ok(())
     }
 
     /// Computes all smaller levels of the first `frames` frames.

@@ -242,7 +242,7 @@ impl Backend for GpuBackend {
     }
 
     fn frames_at_once(&self, size: (u32, u32)) -> usize {
-        frame::at_once(&self.context, size)
+        self.most_frames(size)
     }
 
     fn set_frames(&mut self, images: &[&GrayImage], levels: usize) -> Result<()> {
