@@ -115,6 +115,8 @@ pub(super) struct Scratch {
     pub(super) vertices: Vertices,
     /// Cross moments of a triangle, where they are not the template's.
     pub(super) cross: DMatrix<f64>,
+    /// Couplings of a triangle's pose with its appearance columns.
+    pub(super) coupled: Vec<[f64; 6]>,
     /// One number per parameter: a triangle's part in the gradient.
     pub(super) column: Vec<f64>,
     pub(super) solver: Solver,
