@@ -74,7 +74,7 @@ fn bench_downsample(c: &mut Criterion) {
             b.iter(|| {
                 gpu.set_frame(black_box(&image), 2).expect("the frame fits");
                 // Waits for the device by the one way there is.
-                gpu.read_level(1)
+                gpu.read_level(0, 1)
             });
         });
     }

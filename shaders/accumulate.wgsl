@@ -5,8 +5,8 @@
 const SUM_PLANES: u32 = 3u + MODE_PLANES;
 
 /// Grey value 0..255 at a pixel plus a fraction.
-fn bilinear(pixel: vec2f, fraction: vec2f, size: vec2f) -> f32 {
-    let v = neighbours(pixel, size);
+fn bilinear(pixel: vec2f, fraction: vec2f, size: vec2f, frame: u32) -> f32 {
+    let v = neighbours(pixel, size, frame);
     let top = v.w + fraction.x * (v.z - v.w);
     let bottom = v.x + fraction.x * (v.y - v.x);
     return top + fraction.y * (bottom - top);
@@ -24,6 +24,7 @@ fn accumulate(
     let warp = warps[group.y * level.triangles + chunk.triangle];
     let base = vec2f(warp.row_u.w, warp.row_v.w);
     let size = vec2f(textureDimensions(image));
+    let frame = u32(max(warp.row_w.w - 1.0, 0.0));
     var lambda: array<vec4f, MODES>;
     for (var k = 0u; k < MODE_PLANES; k++) {
         lambda[k] = appearance[group.y * MODE_PLANES + k];
@@ -44,7 +45,7 @@ fn accumulate(
         // A positive range test, so that NaN is outside.
         if (depth > 0.0 && all(pixel >= vec2f()) && all(pixel < size - 1.0)) {
             let texel = texel_at(p);
-            var residual = texel.z - bilinear(pixel, local - corner, size);
+            var residual = texel.z - bilinear(pixel, local - corner, size, frame);
             var mode: array<vec4f, MODES>;
             for (var k = 0u; k < MODE_PLANES; k++) {
                 mode[k] = modes_at(k, p);

@@ -35,7 +35,7 @@ struct Warp {
     row_u: vec4f,
     /// Second row of the homography; w: the base pixel's v.
     row_v: vec4f,
-    /// Third row of the homography; w: 1 for an active triangle, else 0.
+    /// Third row of the homography; w: 0 for a triangle that is left out, else 1 plus the number of the frame.
     row_w: vec4f,
 }
 
@@ -51,7 +51,7 @@ struct Scan {
     tile: u32,
 }
 
-/// One step of the pyramid. Rows hold four pixels per word and are padded.
+/// One step of the pyramids of some frames, one after the other. Rows hold four pixels per word and are padded.
 struct Halving {
     /// Words per row of the larger image.
     stride_in: u32,
@@ -61,4 +61,6 @@ struct Halving {
     words: u32,
     /// Rows of the smaller image.
     rows: u32,
+    /// Rows of the larger image.
+    rows_in: u32,
 }

@@ -16,16 +16,16 @@ fn average(top: u32, bottom: u32) -> u32 {
     return (mean | (mean >> 8u)) & 0xffffu;
 }
 
-/// One word (four pixels) of the smaller image per invocation. Bytes beyond its width are not defined, and the next
+/// One word (four pixels) of the smaller image per invocation, frames along z. Bytes beyond its width are not defined, and the next
 /// level does not look at them.
 @compute @workgroup_size(WORKGROUP)
 fn downsample(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= halving.words || id.y >= halving.rows) {
         return;
     }
-    let top = 2u * id.y * halving.stride_in + 2u * id.x;
+    let top = (id.z * halving.rows_in + 2u * id.y) * halving.stride_in + 2u * id.x;
     let bottom = top + halving.stride_in;
     let left = average(larger[top], larger[bottom]);
     let right = average(larger[top + 1u], larger[bottom + 1u]);
-    smaller[id.y * halving.stride_out + id.x] = left | (right << 16u);
+    smaller[(id.z * halving.rows + id.y) * halving.stride_out + id.x] = left | (right << 16u);
 }

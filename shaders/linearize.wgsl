@@ -9,8 +9,8 @@ const SUM_PLANES: u32 = 11u + 7u * MODE_PLANES;
 const COUPLINGS: u32 = 6u * MODES;
 
 /// Grey value 0..255 at a pixel plus a fraction, and its derivative by u and v.
-fn bilinear_with_gradient(pixel: vec2f, fraction: vec2f, size: vec2f) -> vec3f {
-    let v = neighbours(pixel, size);
+fn bilinear_with_gradient(pixel: vec2f, fraction: vec2f, size: vec2f, frame: u32) -> vec3f {
+    let v = neighbours(pixel, size, frame);
     let upper = v.z - v.w;
     let lower = v.y - v.x;
     let top = v.w + fraction.x * upper;
@@ -30,6 +30,7 @@ fn linearize(
     let warp = warps[group.y * level.triangles + chunk.triangle];
     let base = vec2f(warp.row_u.w, warp.row_v.w);
     let size = vec2f(textureDimensions(image));
+    let frame = u32(max(warp.row_w.w - 1.0, 0.0));
     var lambda: array<vec4f, MODES>;
     for (var k = 0u; k < MODE_PLANES; k++) {
         lambda[k] = appearance[group.y * MODE_PLANES + k];
@@ -50,7 +51,7 @@ fn linearize(
         // A positive range test, so that NaN is outside.
         if (depth > 0.0 && all(pixel >= vec2f()) && all(pixel < size - 1.0)) {
             let texel = texel_at(p);
-            let sample = bilinear_with_gradient(pixel, local - corner, size);
+            let sample = bilinear_with_gradient(pixel, local - corner, size, frame);
             var residual = texel.z - sample.x;
             var mode: array<vec4f, MODES>;
             for (var k = 0u; k < MODE_PLANES; k++) {

@@ -4,8 +4,9 @@ mod support;
 
 use std::process::ExitCode;
 
-use aam6d::backend::Backend;
-use aam6d::backend::gpu::GpuOptions;
+use aam6d::backend::cpu::downsample::downsample;
+use aam6d::backend::gpu::{GpuOptions, PyramidPlace};
+use aam6d::backend::{Backend, CpuBackend, Request, Sums};
 use aam6d::geometry::Pose;
 use aam6d::imaging::GrayImage;
 use aam6d::model::Model;
@@ -13,8 +14,11 @@ use aam6d::simulate::{SceneKind, Sequence};
 use aam6d::track::{Status, Tracked, Tracker};
 use aam6d::train::TrainOptions;
 use libtest_mimic::{Failed, Trial};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use support::gpu::{open, trial};
 use support::tracking::{cpu, sequence, tracker, trained};
+use support::{Scene, compare_images};
 
 /// Streams of one object, and frames of each.
 const STREAMS: usize = 3;
@@ -24,6 +28,10 @@ fn main() -> ExitCode {
     support::gpu::main(vec![
         Trial::test("streams/cpu", || streams_track_alike(cpu())),
         trial("streams/gpu", || streams_track_alike(Box::new(open(GpuOptions::default())))),
+        trial("calls/gpu", streams_share_calls),
+        trial("frames/host", || frames_are_told_apart(PyramidPlace::Host)),
+        trial("frames/device", || frames_are_told_apart(PyramidPlace::Device)),
+        trial("frames/refused", frames_that_do_not_fit_are_refused),
         Trial::test("objects/cpu", two_objects_in_one_frame),
         Trial::test("errors", one_bad_frame_is_its_own),
         Trial::test("refused", as_many_images_as_trackers),
@@ -87,6 +95,81 @@ fn streams_track_alike(backend: Box<dyn Backend>) -> Result<(), Failed> {
     if lost == 1 { Ok(()) } else { Err(format!("{lost} frames lost, not 1").into()) }
 }
 
+/// Three streams that see the same cost as many calls as one of them.
+fn streams_share_calls() -> Result<(), Failed> {
+    let Streams { sequence, model, starts, frames } = streams();
+    let first = tracker(&model, *sequence.camera(), Box::new(open(GpuOptions::default())));
+    let mut alone = several(first.another()?, &starts[..1])?;
+    let mut together = several(first, &[starts[0]; STREAMS])?;
+    for (k, image) in frames[0].iter().enumerate() {
+        let before = alone[0].traffic();
+        alone[0].track(image)?;
+        let between = alone[0].traffic();
+        for tracked in Tracker::track_batch(&mut together, &[image; STREAMS])? {
+            tracked?;
+        }
+        let after = alone[0].traffic();
+        let one = [between.submits - before.submits, between.maps - before.maps];
+        let all = [after.submits - between.submits, after.maps - between.maps];
+        let bytes = [between.bytes_read - before.bytes_read, after.bytes_read - between.bytes_read];
+        if all != one || bytes[1] != STREAMS as u64 * bytes[0] || one[1] < 4 {
+            return Err(format!("frame {k}: {all:?} submits and maps, {one:?} alone; bytes {bytes:?}").into());
+        }
+    }
+    Ok(())
+}
+
+/// Poses in several frames at once have the sums that they have in their frame alone, and no others.
+fn frames_are_told_apart(pyramid: PyramidPlace) -> Result<(), Failed> {
+    let mut gpu = open(GpuOptions { pyramid, ..GpuOptions::default() });
+    let mut scene = Scene::new(50, 257, 4, 6);
+    let model = gpu.load(&scene.model)?;
+    let size = scene.image.dimensions();
+    // Twice the size, for poses on level 1 of the pyramid.
+    let images: Vec<_> = (60..63)
+        .map(|seed| support::image(&mut ChaCha8Rng::seed_from_u64(seed), 2 * size.0 + 1, 2 * size.1))
+        .collect();
+    let mut alone = Vec::new();
+    for image in &images {
+        gpu.set_frame(image, 2)?;
+        let mut sums = Sums::default();
+        gpu.accumulate(&Request { image_level: 1, ..scene.request(model) }, &mut sums)?;
+        alone.push(sums);
+    }
+    scene.frames = vec![2, 0, 1, 1, 0, 2];
+    gpu.set_frames(&images.iter().collect::<Vec<_>>(), 2)?;
+    let mut sums = Sums::default();
+    gpu.accumulate(&Request { image_level: 1, ..scene.request(model) }, &mut sums)?;
+    for (item, frame) in scene.frames.iter().enumerate() {
+        for (k, alone) in alone.iter().enumerate() {
+            if (sums.item(item) == alone.item(item)) != (k == *frame) {
+                return Err(format!("pose {item} in frame {frame}: compared with frame {k}").into());
+            }
+        }
+        compare_images(&downsample(&images[*frame]), &gpu.read_level(*frame, 1)?)?;
+    }
+    Ok(())
+}
+
+fn frames_that_do_not_fit_are_refused() -> Result<(), Failed> {
+    let says = |what: &str, result: aam6d::Result<()>| match result {
+        Err(e) if e.to_string().contains(what) => Ok(()),
+        other => Err(format!("{what}: {other:?}")),
+    };
+    let (image, other) = (GrayImage::new(64, 48), GrayImage::new(48, 64));
+    let mut gpu = open(GpuOptions::default());
+    says("have one size", gpu.set_frames(&[&image, &other], 1))?;
+    says("the device takes", gpu.set_frames(&vec![&image; gpu.frames_at_once((64, 48)) + 1], 1))?;
+    says("holds one", CpuBackend::new().set_frames(&[&image, &image], 1))?;
+    let mut scene = Scene::new(51, 1, 0, 2);
+    let model = gpu.load(&scene.model)?;
+    gpu.set_frames(&[&image, &image], 1)?;
+    scene.frames = vec![0, 2];
+    says("frame 2 of 2", gpu.accumulate(&scene.request(model), &mut Sums::default()))?;
+    scene.frames = vec![0];
+    Ok(says("1 frames named for 2 poses", gpu.accumulate(&scene.request(model), &mut Sums::default()))?)
+}
+
 /// A second object, known by another model, in the same image.
 fn two_objects_in_one_frame() -> Result<(), Failed> {
     let Streams { sequence, model, starts, frames } = streams();
@@ -127,7 +210,7 @@ fn as_many_images_as_trackers() -> Result<(), Failed> {
 }
 
 /// A backend that says nothing about sharing.
-struct Alone(aam6d::backend::CpuBackend);
+struct Alone(CpuBackend);
 
 impl Backend for Alone {
     fn name(&self) -> String {
@@ -142,17 +225,13 @@ impl Backend for Alone {
         self.0.set_frame(image, levels)
     }
 
-    fn accumulate(
-        &mut self,
-        request: &aam6d::backend::Request<'_>,
-        sums: &mut aam6d::backend::Sums,
-    ) -> aam6d::Result<()> {
+    fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> aam6d::Result<()> {
         self.0.accumulate(request, sums)
     }
 
     fn linearize(
         &mut self,
-        request: &aam6d::backend::Request<'_>,
+        request: &Request<'_>,
         out: &mut aam6d::backend::Linearization,
     ) -> aam6d::Result<()> {
         self.0.linearize(request, out)
@@ -161,7 +240,7 @@ impl Backend for Alone {
 
 fn backends_that_cannot_be_shared_say_so() -> Result<(), Failed> {
     let Streams { sequence, model, .. } = streams();
-    let backend = Box::new(Alone(aam6d::backend::CpuBackend::new()));
+    let backend = Box::new(Alone(CpuBackend::new()));
     match tracker(&model, *sequence.camera(), backend).another() {
         Err(e) if e.to_string().contains("alone cannot be shared") => Ok(()),
         other => Err(format!("{other:?}").into()),

@@ -59,7 +59,7 @@ fn a_lost_device_is_reported_and_can_be_opened_again() -> Result<(), Failed> {
         return Err("results so far were not kept".into());
     }
     expect("set_frame", gpu.set_frame(&scene.image, 1), lost)?;
-    expect("read_level", gpu.read_level(0), lost)?;
+    expect("read_level", gpu.read_level(0, 0), lost)?;
     let again = sums(&mut open(GpuOptions::default()), &scene)?;
     if again == before { Ok(()) } else { Err("the reopened device gives other sums".into()) }
 }

@@ -266,7 +266,7 @@ fn downsample_agrees(pyramid: PyramidPlace) -> Result<(), Failed> {
         let mut expected = image(&mut ChaCha8Rng::seed_from_u64(seed), width, height);
         gpu.set_frame(&expected, LEVELS)?;
         for level in 0..LEVELS {
-            compare_images(&expected, &gpu.read_level(level)?)
+            compare_images(&expected, &gpu.read_level(0, level)?)
                 .map_err(|e| format!("{width}x{height} level {level}: {e}"))?;
             expected = downsample(&expected);
         }
@@ -280,7 +280,7 @@ fn a_changed_image_is_noticed() -> Result<(), Failed> {
     let mut disturbed = full.clone();
     disturbed.put_pixel(21, 11, image::Luma([full.get_pixel(21, 11)[0] ^ 4]));
     gpu.set_frame(&disturbed, 2)?;
-    match compare_images(&downsample(&full), &gpu.read_level(1)?) {
+    match compare_images(&downsample(&full), &gpu.read_level(0, 1)?) {
         Err(report) if report.starts_with("(10, 5):") && !report.contains(", (") => Ok(()),
         other => Err(format!("one changed pixel was reported as {other:?}").into()),
     }

@@ -86,7 +86,7 @@ fn host_layouts() -> Vec<(&'static str, Layout)> {
         host_layout!(Chunk { start, end, triangle, unused }),
         host_layout!(Warp { row_u, row_v, row_w }),
         host_layout!(Scan { width, height, columns, tile }),
-        host_layout!(Halving { stride_in, stride_out, words, rows }),
+        host_layout!(Halving { stride_in, stride_out, words, rows, rows_in }),
     ]
 }
 

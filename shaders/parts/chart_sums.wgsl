@@ -15,7 +15,8 @@ const MODES: u32 = max(MODE_PLANES, 1u);
 @group(1) @binding(0) var<storage, read> warps: array<Warp>;
 @group(1) @binding(1) var<storage, read> appearance: array<vec4f>;
 @group(1) @binding(2) var<storage, read_write> sums: array<vec4f>;
-@group(2) @binding(0) var image: texture_2d<f32>;
+/// The frames, one per layer.
+@group(2) @binding(0) var image: texture_2d_array<f32>;
 @group(2) @binding(1) var image_sampler: sampler;
 
 /// Steps of the 16-bit numbers, as in `model::steps`.
@@ -45,8 +46,8 @@ fn modes_at(plane: u32, p: u32) -> vec4f {
 var<workgroup> partial: array<vec4f, WORKGROUP * SUM_PLANES>;
 /// The grey values 0..255 of the four pixels around a position in the order (0, 1), (1, 1), (1, 0), (0, 0); `pixel` is
 /// the one with the smallest coordinates. Samplers interpolate with 8 bits, so the weights are ours.
-fn neighbours(pixel: vec2f, size: vec2f) -> vec4f {
-    return round(255.0 * textureGather(0, image, image_sampler, (pixel + 1.0) / size));
+fn neighbours(pixel: vec2f, size: vec2f, frame: u32) -> vec4f {
+    return round(255.0 * textureGather(0, image, image_sampler, (pixel + 1.0) / size, frame));
 }
 
 /// Adds up the workgroup's sums in a fixed order and writes them to the row. Every invocation has to come here.

@@ -1,33 +1,21 @@
-//! What the methods share: checks of the starts, visibility, calls of the backend, and the estimate at the end.
+//! What the methods share: checks of the starts, calls of the backend, and the estimate at the end.
 
 use std::time::Instant;
 
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 
 use super::covariance::covariance;
-use super::derivative::{SecondRows, image_from_chart, projected_corners};
+use super::derivative::SecondRows;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::score::Score;
-use super::workspace::Scratch;
+use super::workspace::{Worker, for_each};
 use super::{PoseEstimate, Start, Target};
-use crate::backend::{Backend, Linearization, Request, Sums, TriangleWarp};
+use crate::backend::{Backend, Linearization, ModelId, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
-use crate::geometry::Pose;
-use crate::geometry::raster::{ZBuffer, facing};
 use crate::geometry::warp::projection;
 use crate::model::{Grouping, Model};
-
-/// Triangles seen more obliquely than this cosine are left out.
-const MIN_COSINE: f64 = 0.06;
-/// Triangles whose chart the image shows more compressed in one direction than in the other by this factor are left out:
-/// their chart keeps its distance from the border of the face in pixels of the chart, which in the image is then less
-/// than the width of a pixel that mixes the face with what lies behind.
-const MIN_ASPECT: f64 = 0.25;
-/// Visibility is judged on an image of this pyramid level.
-const VISIBILITY_LEVEL: usize = 2;
-/// Triangles with less than this share free of occlusion by the object itself are left out.
-const MIN_VISIBLE: f64 = 0.5;
 
 /// Pyramid level on which template and image are correlated: at full size heavy noise hides a right pose.
 const SCORE_LEVEL: usize = 1;
@@ -69,8 +57,8 @@ pub(super) fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
 /// Where a descent ended.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct End<'a> {
-    pub(super) state: &'a State,
-    pub(super) visibility: &'a [f64],
+    /// The state, and what is visible there.
+    pub(super) sight: Sight<'a>,
     /// Those at full size, within a step below the stop threshold of the state.
     pub(super) equations: &'a NormalEquations,
     /// Steps over all levels.
@@ -84,41 +72,44 @@ pub(super) struct End<'a> {
 /// The estimates of ends, in the memory of earlier ones.
 pub(super) fn finish<'a>(
     backend: &mut dyn Backend,
-    target: &Target<'_>,
+    targets: &[Target<'_>],
     ends: impl Iterator<Item = End<'a>> + Clone,
     evaluation: &mut Evaluation,
-    scratch: &mut Scratch,
+    workers: &mut [Worker],
     estimates: &mut Vec<PoseEstimate>,
 ) -> Result<()> {
     estimates.resize_with(ends.clone().count(), PoseEstimate::default);
-    for (estimate, end) in estimates.iter_mut().zip(ends.clone()) {
-        estimate.covariance = covariance(end.equations, end.response, &mut scratch.solver);
-        estimate.hessian = end.equations.pose_hessian(&mut scratch.solver);
-        estimate.rms = if end.equations.cost.is_finite() { end.equations.cost.max(0.0).sqrt() } else { 0.0 };
-        estimate.camera_from_object = end.state.pose;
-        estimate.appearance.clone_from(&end.state.appearance);
+    for_each(estimates.iter_mut().zip(ends.clone()), workers, |_, (estimate, end), worker| {
+        let (equations, solver) = (end.equations, &mut worker.scratch.solver);
+        estimate.covariance = covariance(equations, end.response, solver);
+        estimate.hessian = equations.pose_hessian(solver);
+        estimate.rms = if equations.cost.is_finite() { equations.cost.max(0.0).sqrt() } else { 0.0 };
+        estimate.camera_from_object = end.sight.state.pose;
+        estimate.appearance.clone_from(&end.sight.state.appearance);
         (estimate.iterations, estimate.converged) = (end.iterations, end.converged);
-    }
-    let states = ends.map(|end| (end.state, end.visibility));
-    scores(backend, target, states, evaluation, &mut scratch.values, |k, score| estimates[k].score = score)
+    });
+    let scores_of = estimates.iter_mut().map(|estimate| &mut estimate.score);
+    scores(backend, targets, ends.map(|end| end.sight), scores_of, evaluation, workers)
 }
 
-/// The scores of states by their number, the same measure for every method.
-pub(super) fn scores<'s>(
+/// The scores of states, the same measure for every method.
+fn scores<'s>(
     backend: &mut dyn Backend,
-    target: &Target<'_>,
-    states: impl Iterator<Item = (&'s State, &'s [f64])> + Clone,
+    targets: &[Target<'_>],
+    sights: impl Iterator<Item = Sight<'s>> + Clone,
+    scores: impl Iterator<Item = &'s mut Score>,
     evaluation: &mut Evaluation,
-    values: &mut Vec<f64>,
-    mut scored: impl FnMut(usize, Score),
+    workers: &mut [Worker],
 ) -> Result<()> {
-    let level = SCORE_LEVEL.min(target.model.levels.len() - 1);
-    let problem = LevelProblem::new(target, level, Grouping::FaceAndView);
-    let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
-    evaluator.evaluate(states.clone())?;
-    for (k, (state, visibility)) in states.enumerate() {
-        scored(k, Score::new(problem.level, &evaluator.rows(k), visibility, &state.appearance, values));
-    }
+    let level = SCORE_LEVEL.min(targets[0].model.levels.len() - 1);
+    let problem = LevelProblem::new(&targets[0], level, Grouping::FaceAndView);
+    let mut evaluator = Evaluator::new(backend, targets, &problem, evaluation);
+    evaluator.evaluate(sights.clone())?;
+    let rows = evaluator.all_rows();
+    for_each(sights.zip(scores), workers, |k, (sight, score), worker| {
+        let (values, lambda) = (&mut worker.scratch.values, &sight.state.appearance);
+        *score = Score::new(problem.level, &rows(k), sight.visibility, lambda, values);
+    });
     Ok(())
 }
 
@@ -129,56 +120,54 @@ pub(super) fn score(
     state: &State,
     visibility: &[f64],
 ) -> Result<Score> {
-    let (mut evaluation, mut values, mut found) = (Evaluation::default(), Vec::new(), Score::default());
-    let states = std::iter::once((state, visibility));
-    scores(backend, target, states, &mut evaluation, &mut values, |_, score| found = score)?;
+    let (mut evaluation, mut worker, mut found) =
+        (Evaluation::default(), Worker::default(), Score::default());
+    let (targets, workers) = (std::slice::from_ref(target), std::slice::from_mut(&mut worker));
+    let sights = std::iter::once(Sight { frame: 0, state, visibility });
+    scores(backend, targets, sights, std::iter::once(&mut found), &mut evaluation, workers)?;
     Ok(found)
 }
 
-/// Share of every triangle that can be seen: 0 for backs, grazing triangles and those mostly hidden or much
-/// compressed.
-pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
-    let mut visibility = Vec::new();
-    look_at(target, pose, &mut ZBuffer::default(), &mut visibility);
-    visibility
-}
-
-/// [`visibility`] in the memory of earlier calls.
-pub(super) fn look_at(target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer, visibility: &mut Vec<f64>) {
-    let mesh = &target.model.shape.mesh;
-    zbuffer.visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose, visibility);
-    for (t, share) in visibility.iter_mut().enumerate() {
-        let is_seen = *share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        *share = if is_seen && is_open(target, pose, t) { *share } else { 0.0 };
-    }
+/// A state to evaluate.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sight<'s> {
+    /// Number of the target whose frame it is looked at in.
+    pub(super) frame: usize,
+    pub(super) state: &'s State,
+    /// Share of each triangle that nothing hides.
+    pub(super) visibility: &'s [f64],
 }
 
 /// What the stages are given and what they hand back.
 #[derive(Debug, Default)]
 pub(super) struct Evaluation {
     out: Linearization,
+    frames: Vec<usize>,
     warps: Vec<TriangleWarp>,
     appearance: Vec<f32>,
     /// Wall time spent in the backend, milliseconds.
     pub(super) spent_ms: f64,
 }
 
-/// Does the image show a triangle less compressed than [`MIN_ASPECT`] says? False without a chart or
-/// behind the camera.
-fn is_open(target: &Target<'_>, pose: &Pose, triangle: usize) -> bool {
-    let affine = || {
-        let geometry = target.model.levels[0].geometry[triangle].as_ref()?;
-        Some(image_from_chart(&projected_corners(&target.camera, pose, geometry)?, geometry))
-    };
-    // With singular values s1 >= s2: |det A| = s1 s2 and |A|^2 = s1^2 + s2^2, and s1 s2 / (s1^2 + s2^2) grows with s2 / s1.
-    let least = MIN_ASPECT / (1.0 + MIN_ASPECT * MIN_ASPECT);
-    affine().is_some_and(|a| a.determinant().abs() >= least * a.norm_squared())
+impl Evaluation {
+    /// What was filled in last, where what comes of it goes, and the time it takes.
+    fn request(
+        &mut self,
+        model: ModelId,
+        problem: &LevelProblem<'_>,
+    ) -> (Request<'_>, &mut Linearization, &mut f64) {
+        let LevelProblem { number: level, image_level, .. } = *problem;
+        let Self { out, frames, warps, appearance, spent_ms } = self;
+        let items = frames.len();
+        (Request { model, level, image_level, items, frames, warps, appearance }, out, spent_ms)
+    }
 }
 
 /// Runs the stages for many states of one level, with the perspective-exact warp.
 pub(super) struct Evaluator<'a> {
     backend: &'a mut dyn Backend,
-    target: &'a Target<'a>,
+    /// One per current frame, all of the problem's model.
+    targets: &'a [Target<'a>],
     problem: &'a LevelProblem<'a>,
     memory: &'a mut Evaluation,
 }
@@ -186,84 +175,79 @@ pub(super) struct Evaluator<'a> {
 impl<'a> Evaluator<'a> {
     pub(super) fn new(
         backend: &'a mut dyn Backend,
-        target: &'a Target<'a>,
+        targets: &'a [Target<'a>],
         problem: &'a LevelProblem<'a>,
         memory: &'a mut Evaluation,
     ) -> Self {
-        Self { backend, target, problem, memory }
+        Self { backend, targets, problem, memory }
     }
 
-    /// Stage `accumulate`; every state comes with its visibility.
-    pub(super) fn evaluate<'s>(
-        &mut self,
-        states: impl Iterator<Item = (&'s State, &'s [f64])>,
-    ) -> Result<()> {
-        let items = self.encode(states);
+    /// Stage `accumulate`.
+    pub(super) fn evaluate<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) -> Result<()> {
+        self.encode(sights);
         let began = Instant::now();
-        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
-        let request = request(self.target, self.problem, items, warps, appearance);
+        let (request, out, spent_ms) = self.memory.request(self.targets[0].id, self.problem);
         self.backend.accumulate(&request, &mut out.sums)?;
         *spent_ms += ms_since(began);
         Ok(())
     }
 
     /// Stage `linearize`.
-    pub(super) fn linearize<'s>(
-        &mut self,
-        states: impl Iterator<Item = (&'s State, &'s [f64])>,
-    ) -> Result<()> {
-        let items = self.encode(states);
+    pub(super) fn linearize<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) -> Result<()> {
+        self.encode(sights);
         let began = Instant::now();
-        let Evaluation { out, warps, appearance, spent_ms } = &mut *self.memory;
-        let request = request(self.target, self.problem, items, warps, appearance);
+        let (request, out, spent_ms) = self.memory.request(self.targets[0].id, self.problem);
         self.backend.linearize(&request, out)?;
         *spent_ms += ms_since(began);
         Ok(())
     }
 
-    /// Fills warps and appearance; returns the number of states.
-    fn encode<'s>(&mut self, states: impl Iterator<Item = (&'s State, &'s [f64])>) -> usize {
-        let Evaluation { warps, appearance, .. } = &mut *self.memory;
-        warps.clear();
+    /// Fills frames, warps and appearance.
+    fn encode<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) {
+        let Evaluation { frames, warps, appearance, .. } = &mut *self.memory;
+        frames.clear();
+        frames.extend(sights.clone().map(|s| s.frame));
         appearance.clear();
-        let mut items = 0;
-        for (state, visibility) in states {
-            items += 1;
-            let projection = projection(&self.problem.camera, &state.pose);
-            appearance.extend(state.appearance.iter().copied().map(narrow));
-            for (geometry, visible) in self.problem.level.geometry.iter().zip(visibility) {
+        appearance.extend(sights.clone().flat_map(|s| s.state.appearance.iter().copied().map(narrow)));
+        let geometry = &self.problem.level.geometry;
+        warps.resize(frames.len() * geometry.len(), IDLE);
+        let (targets, image_level) = (self.targets, self.problem.image_level);
+        let of_sight = |(sight, warps): (Sight<'_>, &mut [TriangleWarp])| {
+            let camera = targets[sight.frame].camera.at_level(image_level);
+            let projection = projection(&camera, &sight.state.pose);
+            for ((warp, geometry), visible) in warps.iter_mut().zip(geometry).zip(sight.visibility) {
                 let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
-                warps.push(geometry.map_or(IDLE, |g| TriangleWarp {
+                *warp = geometry.map_or(IDLE, |g| TriangleWarp {
                     image_from_chart: projection * g.object_from_chart,
                     active: true,
-                }));
+                });
             }
+        };
+        let per_sight = geometry.len().max(1);
+        if targets.len() == 1 {
+            sights.zip(warps.chunks_exact_mut(per_sight)).for_each(of_sight);
+        } else {
+            let sights: Vec<_> = sights.collect();
+            sights.into_par_iter().zip(warps.par_chunks_exact_mut(per_sight)).for_each(of_sight);
         }
-        items
     }
 
     /// The first-order sums of a state.
     pub(super) fn rows(&self, item: usize) -> Rows<'_> {
-        let row_len = Sums::row_len(self.target.model.modes());
-        Rows { data: self.memory.out.sums.item(item), row_len }
+        self.all_rows()(item)
+    }
+
+    /// The same for many threads.
+    pub(super) fn all_rows<'e>(&'e self) -> impl Fn(usize) -> Rows<'e> + Sync {
+        let (sums, row_len) = (&self.memory.out.sums, Sums::row_len(self.problem.modes()));
+        move |item| Rows { data: sums.item(item), row_len }
     }
 
     /// The second-order sums of a state, after [`Self::linearize`].
     pub(super) fn seconds(&self, item: usize) -> SecondRows<'_> {
-        let row_len = Linearization::row_len(self.target.model.modes());
+        let row_len = Linearization::row_len(self.problem.modes());
         SecondRows { data: self.memory.out.item(item), row_len }
     }
-}
-
-fn request<'r>(
-    target: &Target<'_>,
-    problem: &LevelProblem<'_>,
-    items: usize,
-    warps: &'r [TriangleWarp],
-    appearance: &'r [f32],
-) -> Request<'r> {
-    let LevelProblem { number: level, image_level, .. } = *problem;
-    Request { model: target.id, level, image_level, items, warps, appearance }
 }
 
 /// The device works in f32.

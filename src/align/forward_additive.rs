@@ -4,11 +4,12 @@
 use nalgebra::Vector6;
 
 use super::derivative::Derivative;
-use super::evaluator::{End, Evaluation, Evaluator, check, finish, tracked_levels, visibility};
+use super::evaluator::{End, Evaluation, Evaluator, Sight, check, finish, tracked_levels};
 use super::levenberg_marquardt::{State, Stop, solve};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
 use super::robust::{Redescent, triangle_weights};
-use super::workspace::Scratch;
+use super::visibility::visibility;
+use super::workspace::{Scratch, Worker};
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
@@ -96,9 +97,13 @@ impl Descent {
     }
 
     fn ended(&self) -> End<'_> {
-        let Self { state, visibility, equations, iterations, converged, .. } = self;
+        let Self { equations, iterations, converged, .. } = self;
         let (iterations, converged) = (*iterations, *converged);
-        End { state, visibility, equations, iterations, converged, response: 1.0 }
+        End { sight: self.here(), equations, iterations, converged, response: 1.0 }
+    }
+
+    fn here(&self) -> Sight<'_> {
+        Sight { frame: 0, state: &self.state, visibility: &self.visibility }
     }
 }
 
@@ -125,14 +130,14 @@ impl ForwardAdditive {
             descent.visibility = visibility(target, &descent.state.pose);
             descent.stop = None;
         }
-        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
+        let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, evaluation);
         // At least one look, for the score.
         for _ in 0..options.max_iterations.max(1) {
             let active = || descents.iter().filter(|d| d.stop.is_none());
             if active().next().is_none() {
                 break;
             }
-            evaluator.linearize(active().map(|d| (&d.state, &*d.visibility)))?;
+            evaluator.linearize(active().map(Descent::here))?;
             for (item, descent) in descents.iter_mut().filter(|d| d.stop.is_none()).enumerate() {
                 let derivative = Derivative::Frame(evaluator.seconds(item));
                 descent.step(&problem, redescent, evaluator.rows(item), derivative, stop_px, scratch);
@@ -162,12 +167,19 @@ impl Aligner for ForwardAdditive {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         check(target, starts)?;
-        let (mut evaluation, mut scratch) = (Evaluation::default(), Scratch::default());
+        let (mut evaluation, mut worker) = (Evaluation::default(), Worker::default());
         let mut descents: Vec<Descent> = starts.iter().map(Descent::new).collect();
         for level in tracked_levels(target.model) {
-            self.level(backend, target, level, &mut descents, &mut evaluation, &mut scratch)?;
+            self.level(backend, target, level, &mut descents, &mut evaluation, &mut worker.scratch)?;
         }
         let ends = descents.iter().map(Descent::ended);
-        finish(backend, target, ends, &mut evaluation, &mut scratch, estimates)
+        finish(
+            backend,
+            std::slice::from_ref(target),
+            ends,
+            &mut evaluation,
+            std::slice::from_mut(&mut worker),
+            estimates,
+        )
     }
 }

@@ -8,11 +8,12 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix6, Matrix6x2, Vector2, Vector6};
 
 use super::Target;
 use super::derivative::{barycentric_gradient, chart_from_image, projected_corners};
-use super::evaluator::{Evaluation, Evaluator, score, visibility};
+use super::evaluator::{Evaluation, Evaluator, Sight, score};
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost, triangle_rms};
 use super::photometric::{self, Solution};
 use super::robust::{Redescent, triangle_weights};
+use super::visibility::visibility;
 use super::workspace::Scratch;
 use crate::backend::Backend;
 use crate::error::Result;
@@ -124,8 +125,8 @@ fn inspect<T>(
     }
     let problem = LevelProblem::new(target, 0, Grouping::Triangle);
     let mut evaluation = Evaluation::default();
-    let mut evaluator = Evaluator::new(backend, target, &problem, &mut evaluation);
-    evaluator.evaluate(std::iter::once((&state, &*visibility)))?;
+    let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, &mut evaluation);
+    evaluator.evaluate(std::iter::once(Sight { frame: 0, state: &state, visibility: &visibility }))?;
     let rows = evaluator.rows(0);
     let (mut scratch, mut weights) = (Scratch::default(), Vec::new());
     triangle_weights(&problem, &rows, &visibility, Some(Redescent::DEFAULT), &mut scratch, &mut weights);

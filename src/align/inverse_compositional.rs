@@ -3,10 +3,10 @@
 use std::time::Instant;
 
 use super::evaluator::{Evaluator, check, ms_since, tracked_levels};
-use super::levenberg_marquardt::Settings;
+use super::levenberg_marquardt::{Descent, Settings};
 use super::normal_equations::LevelProblem;
 use super::robust::Redescent;
-use super::workspace::Workspace;
+use super::workspace::{Workspace, for_each};
 use super::{AlignTimes, Aligner, PoseEstimate, Start, Target};
 use crate::backend::Backend;
 use crate::error::Result;
@@ -15,6 +15,8 @@ use crate::model::{Grouping, Model};
 /// Triangle weights act from this level down: on coarser ones they cost reach. Only where the object is not found
 /// without them they act on all levels.
 pub(super) const COARSEST_ROBUST: usize = 1;
+/// How a prediction is picked up: from all levels, with triangle weights on the fine ones.
+const TRACKED: (usize, usize) = (usize::MAX, COARSEST_ROBUST);
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,7 +62,7 @@ impl InverseCompositional {
 
     /// Lends the memory that is kept between frames.
     pub(super) fn with_work<T>(&mut self, task: impl FnOnce(&Self, &mut Workspace) -> T) -> T {
-        let mut work = std::mem::take(&mut self.work);
+        let mut work = Workspace::lent(&mut self.work);
         let done = task(self, &mut work);
         self.work = work;
         done
@@ -87,13 +89,25 @@ impl InverseCompositional {
         work: &mut Workspace,
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
-        let began = Instant::now();
         work.begin(starts);
-        let levels = tracked_levels(target.model).filter(|level| *level <= coarsest);
+        self.run(backend, std::slice::from_ref(target), (coarsest, robust_from), work, estimates)
+    }
+
+    /// As [`Self::descend`] for the descents that the workspace has begun, in the frames of the targets.
+    fn run(
+        &self,
+        backend: &mut dyn Backend,
+        targets: &[Target<'_>],
+        (coarsest, robust_from): (usize, usize),
+        work: &mut Workspace,
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        let began = Instant::now();
+        let levels = tracked_levels(targets[0].model).filter(|level| *level <= coarsest);
         let robust = self.options.robust.then_some(robust_from);
-        self.coarse_to_fine(backend, target, levels, robust, work)?;
+        self.coarse_to_fine(backend, targets, levels, robust, work)?;
         work.end_times(began);
-        work.finish(backend, target, estimates)
+        work.finish(backend, targets, estimates)
     }
 
     /// Picks up predictions; once more, with triangle weights on all levels, those that came to nothing: what covers
@@ -106,7 +120,7 @@ impl InverseCompositional {
         work: &mut Workspace,
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
-        self.descend(backend, target, (usize::MAX, COARSEST_ROBUST), starts, work, estimates)?;
+        self.descend(backend, target, TRACKED, starts, work, estimates)?;
         let lost: Vec<usize> = (0..starts.len()).filter(|&i| estimates[i].score.is_lost()).collect();
         if lost.is_empty() || !self.options.robust {
             return Ok(());
@@ -134,13 +148,13 @@ impl InverseCompositional {
     pub(super) fn coarse_to_fine(
         &self,
         backend: &mut dyn Backend,
-        target: &Target<'_>,
+        targets: &[Target<'_>],
         levels: impl Iterator<Item = usize>,
         robust: Option<usize>,
         work: &mut Workspace,
     ) -> Result<()> {
         for level in levels {
-            self.level(backend, target, level, robust, work)?;
+            self.level(backend, targets, level, robust, work)?;
             work.descents.iter_mut().for_each(|d| d.steps.end());
         }
         Ok(())
@@ -149,39 +163,42 @@ impl InverseCompositional {
     fn level(
         &self,
         backend: &mut dyn Backend,
-        target: &Target<'_>,
+        targets: &[Target<'_>],
         level: usize,
         robust: Option<usize>,
         work: &mut Workspace,
     ) -> Result<()> {
-        let problem = self.problem(target, level);
-        let settings = self.settings(level, robust);
-        let Workspace { descents, evaluation, zbuffer, scratch, times } = work;
+        let problem = |frame: usize| self.problem(&targets[frame], level);
+        let (settings, of_all) = (self.settings(level, robust), problem(0));
+        let Workspace { descents, evaluation, workers, times } = work;
         let began = Instant::now();
-        for descent in descents.iter_mut() {
-            descent.look.see(target, &descent.steps.state.pose, zbuffer);
-        }
+        for_each(descents.iter_mut(), workers, |_, d, worker| {
+            d.look.see(&targets[d.frame], &d.steps.state.pose, &mut worker.zbuffer);
+        });
         times.visibility_ms += ms_since(began);
-        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
-        evaluator.evaluate(descents.iter().map(|d| (&d.steps.state, &*d.look.visibility)))?;
-        for (i, descent) in descents.iter_mut().enumerate() {
-            descent.begin(&problem, &settings, evaluator.rows(i), scratch);
+        let mut evaluator = Evaluator::new(backend, targets, &of_all, evaluation);
+        evaluator.evaluate(descents.iter().map(Descent::here))?;
+        {
+            let rows = evaluator.all_rows();
+            for_each(descents.iter_mut(), workers, |k, d, worker| {
+                d.begin(&problem(d.frame), &settings, rows(k), &mut worker.scratch);
+            });
         }
         loop {
-            for descent in descents.iter_mut() {
-                descent.propose(&problem, &settings, &mut scratch.solver);
-            }
-            let proposed =
-                || descents.iter().filter_map(|d| d.steps.proposed().map(|s| (s, &*d.look.visibility)));
+            for_each(descents.iter_mut(), workers, |_, d, worker| {
+                d.propose(&problem(d.frame), &settings, &mut worker.scratch.solver);
+            });
+            let proposed = || descents.iter().filter_map(Descent::proposed);
             if proposed().next().is_none() {
                 return Ok(());
             }
             // What has stopped is no longer part of the call.
             evaluator.evaluate(proposed())?;
-            let judged = descents.iter_mut().filter(|d| d.steps.proposed().is_some());
-            for (k, descent) in judged.enumerate() {
-                descent.judge(&problem, &settings, evaluator.rows(k), scratch);
-            }
+            let rows = evaluator.all_rows();
+            let judged = descents.iter_mut().filter(|d| d.proposed().is_some());
+            for_each(judged, workers, |k, d, worker| {
+                d.judge(&problem(d.frame), &settings, rows(k), &mut worker.scratch);
+            });
         }
     }
 }
@@ -208,6 +225,26 @@ impl Aligner for InverseCompositional {
     ) -> Result<()> {
         check(target, starts)?;
         self.with_work(|method, work| method.picked_up(backend, target, starts, work, estimates))
+    }
+
+    fn shares_calls(&self) -> bool {
+        true
+    }
+
+    fn align_streams(
+        &mut self,
+        backend: &mut dyn Backend,
+        targets: &[Target<'_>],
+        starts: &[Start],
+        estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        for (target, start) in targets.iter().zip(starts) {
+            check(target, std::slice::from_ref(start))?;
+        }
+        self.with_work(|method, work| {
+            work.begin_streams(starts);
+            method.run(backend, targets, TRACKED, work, estimates)
+        })
     }
 
     fn refine(

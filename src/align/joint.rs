@@ -6,7 +6,7 @@ use std::time::Instant;
 use nalgebra::Matrix6;
 
 use super::covariance::covariance;
-use super::evaluator::{Evaluation, Evaluator, check, ms_since, score, tracked_levels};
+use super::evaluator::{Evaluation, Evaluator, Sight, check, ms_since, score, tracked_levels};
 use super::inverse_compositional::{COARSEST_ROBUST, InverseCompositional};
 use super::levenberg_marquardt::{Look, Settings, State, Steps};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
@@ -107,7 +107,7 @@ impl Joint {
         let began = Instant::now();
         for (eye, look) in eyes.iter().zip(&mut self.looks) {
             let pose = eye.camera_from_reference.compose(&self.steps.state.pose);
-            look.see(&eye.target, &pose, &mut work.zbuffer);
+            look.see(&eye.target, &pose, &mut work.workers[0].zbuffer);
         }
         work.times.visibility_ms += ms_since(began);
         let state = self.steps.state.clone();
@@ -115,11 +115,11 @@ impl Joint {
         self.look(eyes, &problems, settings, work);
         loop {
             let centre = problems[0].shape.centre;
-            self.steps.propose(&self.equations, &centre, settings, &mut work.scratch.solver);
+            self.steps.propose(&self.equations, &centre, settings, &mut work.workers[0].scratch.solver);
             let Some(state) = self.steps.proposed().cloned() else { return Ok(()) };
             self.evaluate(eyes, &problems, &state, &mut work.evaluation)?;
             let parts = problems.iter().zip(&self.looks).zip(&self.proposed);
-            let solutions = &mut work.scratch.solutions;
+            let solutions = &mut work.workers[0].scratch.solutions;
             let (cost, _) = total_cost(parts.map(|((problem, look), data)| {
                 cost(problem, &state.appearance, &rows(problem, data), &look.weights, solutions)
             }));
@@ -144,8 +144,10 @@ impl Joint {
         for (k, (eye, problem)) in eyes.iter_mut().zip(problems).enumerate() {
             let seen = eye.state(state);
             let target = eye.target;
-            let mut evaluator = Evaluator::new(&mut *eye.backend, &target, problem, evaluation);
-            evaluator.evaluate(std::iter::once((&seen, &*self.looks[k].visibility)))?;
+            let mut evaluator =
+                Evaluator::new(&mut *eye.backend, std::slice::from_ref(&target), problem, evaluation);
+            let visibility = &*self.looks[k].visibility;
+            evaluator.evaluate(std::iter::once(Sight { frame: 0, state: &seen, visibility }))?;
             self.proposed[k].clear();
             self.proposed[k].extend(evaluator.rows(0).data);
         }
@@ -163,7 +165,7 @@ impl Joint {
         for (k, (eye, problem)) in eyes.iter().zip(problems).enumerate() {
             let state = eye.state(&self.steps.state);
             let rows = rows(problem, &self.proposed[k]);
-            self.looks[k].take(problem, settings, &state, rows, &mut work.scratch);
+            self.looks[k].take(problem, settings, &state, rows, &mut work.workers[0].scratch);
         }
         self.equations.sum(self.looks.iter().map(|l| &l.equations));
     }
@@ -180,7 +182,7 @@ impl Joint {
                 best = score;
             }
         }
-        let solver = &mut work.scratch.solver;
+        let solver = &mut work.workers[0].scratch.solver;
         let estimate = PoseEstimate {
             camera_from_object: self.steps.state.pose,
             appearance: self.steps.state.appearance.clone(),
@@ -197,7 +199,7 @@ impl Joint {
 }
 
 fn rows<'r>(problem: &LevelProblem<'_>, data: &'r [f64]) -> Rows<'r> {
-    Rows { data, row_len: Sums::row_len(problem.level.pixels.modes.len()) }
+    Rows { data, row_len: Sums::row_len(problem.modes()) }
 }
 
 impl NormalEquations {

@@ -4,9 +4,10 @@ use nalgebra::{DVector, Point3, Vector6};
 
 use super::Target;
 use super::derivative::Derivative;
-use super::evaluator::{End, look_at};
+use super::evaluator::{End, Sight};
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::robust::{Redescent, triangle_weights};
+use super::visibility::look_at;
 use super::workspace::{Scratch, Solver, reset_vector};
 use crate::geometry::Pose;
 use crate::geometry::distance::rms_px;
@@ -215,6 +216,8 @@ impl Look {
 /// A descent from level to level with one camera.
 #[derive(Debug, Default)]
 pub(super) struct Descent {
+    /// Number of the target in whose frame it descends.
+    pub(super) frame: usize,
     pub(super) steps: Steps,
     pub(super) look: Look,
 }
@@ -222,10 +225,23 @@ pub(super) struct Descent {
 impl Descent {
     /// Where the last level ended.
     pub(super) fn ended(&self) -> End<'_> {
-        let Steps { state, total, converged, .. } = &self.steps;
-        let Look { visibility, equations, .. } = &self.look;
+        let (Steps { total, converged, .. }, equations) = (&self.steps, &self.look.equations);
         let response = self.steps.response();
-        End { state, visibility, equations, iterations: *total, converged: *converged, response }
+        End { sight: self.here(), equations, iterations: *total, converged: *converged, response }
+    }
+
+    /// Where it is.
+    pub(super) fn here(&self) -> Sight<'_> {
+        self.sight(&self.steps.state)
+    }
+
+    /// Where it may go next, if it goes on.
+    pub(super) fn proposed(&self) -> Option<Sight<'_>> {
+        self.steps.proposed().map(|state| self.sight(state))
+    }
+
+    fn sight<'s>(&'s self, state: &'s State) -> Sight<'s> {
+        Sight { frame: self.frame, state, visibility: &self.look.visibility }
     }
 
     /// Starts a level at the state, whose sums and visibility are known.

@@ -18,13 +18,14 @@ mod robust;
 mod score;
 mod search;
 mod vertices;
+mod visibility;
 mod workspace;
 
 use image::GrayImage;
 use nalgebra::Matrix6;
 
 use crate::backend::{Backend, ModelId};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
@@ -141,6 +142,28 @@ pub trait Aligner: Send {
         starts: &[Start],
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()>;
+
+    /// Has the method a way to serve many frames with the same calls, [`Self::align_streams`]?
+    fn shares_calls(&self) -> bool {
+        false
+    }
+
+    /// Aligns `starts[k]` with frame k of the backend, that of `targets[k]`, in calls that all of them share; the targets are
+    /// of one model. Estimates are those of [`Self::align`] but for poses whose score says lost, where that may try
+    /// something else.
+    ///
+    /// # Errors
+    /// As [`Self::align`], and [`crate::Error::Invalid`] if the method has no such way.
+    fn align_streams(
+        &mut self,
+        _backend: &mut dyn Backend,
+        _targets: &[Target<'_>],
+        _starts: &[Start],
+        _estimates: &mut Vec<PoseEstimate>,
+    ) -> Result<()> {
+        let problem = "this method aligns one frame at a time";
+        Err(Error::invalid("streams", problem, "ask shares_calls first"))
+    }
 
     /// As [`Self::align`] from starts that are right to a pixel or two, as a search ends: what hides a part of the object
     /// may be left out from the beginning. Methods without anything better align.

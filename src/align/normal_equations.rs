@@ -1,10 +1,10 @@
 //! JtQJ, JtQr and the cost at a pose, from triangle sums and moments (`docs/maths.md`, "Moments").
 
-use nalgebra::{DMatrix, DVector, DVectorView, Matrix6};
+use nalgebra::{DMatrix, DVector, Matrix6};
 
 use super::Target;
-use super::contribution::Contribution;
-use super::derivative::{CornerMotion, Derivative, TrianglePart};
+use super::contribution::{Contribution, add};
+use super::derivative::{CornerMotion, Derivative};
 use super::levenberg_marquardt::State;
 use super::photometric::{self, PRIOR_NOISE, Solution, centred};
 use super::workspace::{Scratch, Solver, factor, reset_matrix, reset_vector};
@@ -53,6 +53,11 @@ impl<'a> LevelProblem<'a> {
             groups: template.groups(grouping),
             shape: &target.model.shape,
         }
+    }
+
+    /// Number of appearance modes.
+    pub(super) fn modes(&self) -> usize {
+        self.level.pixels.modes.len()
     }
 }
 
@@ -122,7 +127,7 @@ impl NormalEquations {
         scratch: &mut Scratch,
     ) {
         let (level, groups, mesh) = (problem.level, problem.groups, &problem.shape.mesh);
-        let Scratch { solutions, couplings, vertices, cross, column, .. } = scratch;
+        let Scratch { solutions, couplings, vertices, cross, coupled, column, .. } = scratch;
         photometric::solve(groups, level, rows, s, solutions);
         self.start_from_prior(&state.appearance);
         couplings.reset(groups.len(), self.gradient.len());
@@ -135,7 +140,7 @@ impl NormalEquations {
             let (group, seen) = (groups.of_triangle[t], (rows.row(t), rows.inside(level, t)));
             let gain = solutions[group].value.x;
             let part = derivative.of_triangle(level, (t, geometry), seen, &corners, gain, cross);
-            let here = Contribution { level, triangle: t, rows: *rows, s: s[t], inside: seen.1, part: &part };
+            let here = Contribution::new(level, (t, rows), (s[t], seen.1), &part, coupled);
             self.add_triangle(&here);
             self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
             here.couple(couplings.of(group), groups.centre[group]);
@@ -145,6 +150,8 @@ impl NormalEquations {
         for (group, columns) in couplings.iter() {
             self.eliminate(columns, &solutions[group]);
         }
+        self.hessian.fill_lower_triangle_with_upper_triangle();
+        self.scatter.fill_lower_triangle_with_upper_triangle();
         self.displacement = vertices.displacement();
         (self.cost, self.weight) = mean_cost(rows, s, solutions, &state.appearance);
     }
@@ -178,64 +185,50 @@ impl NormalEquations {
         }
     }
 
+    /// Adds a triangle to the gradient and to the upper half of the matrix.
     fn add_triangle(&mut self, here: &Contribution<'_>) {
-        let TrianglePart { motion, cross, share: of_cross, gradient, .. } = here.part;
-        let mut pose = self.hessian.fixed_view_mut::<6, 6>(0, 0);
-        pose += here.pose_hessian();
-        let mut pose_gradient = self.gradient.fixed_rows_mut::<6>(0);
-        pose_gradient += motion.tr_mul(gradient) * here.s;
-        let (row, share) = (here.row(), here.s * here.inside);
-        let appearance = &here.moments().appearance;
-        for k in 0..self.gradient.len() - 6 {
-            let with_pose = cross.fixed_view::<6, 1>(0, FIRST_MODE + k) * (here.s * of_cross);
-            let column = motion.tr_mul(&with_pose);
-            let mut upper = self.hessian.fixed_view_mut::<6, 1>(0, 6 + k);
-            upper += column;
-            let mut lower = self.hessian.fixed_view_mut::<1, 6>(6 + k, 0);
-            lower += column.transpose();
-            let mut sums = self.hessian.column_mut(6 + k);
-            let products = appearance.column(FIRST_MODE + k);
-            for (sum, product) in sums.iter_mut().skip(6).zip(products.iter().skip(FIRST_MODE)) {
-                *sum += share * product;
-            }
-            self.gradient[6 + k] += here.s * row[FIRST_MODE + k];
+        let (n, s) = (self.gradient.len(), here.s);
+        let (of_pose, of_modes) = self.hessian.as_mut_slice().split_at_mut(6 * n);
+        for (sums, column) in of_pose.chunks_exact_mut(n).zip(&here.pose_hessian()) {
+            add(&mut sums[..6], 1.0, column);
         }
+        for (k, sums) in of_modes.chunks_exact_mut(n).enumerate() {
+            add(&mut sums[..6], s, &here.coupled[FIRST_MODE + k]);
+            add(&mut sums[6..=6 + k], here.share, &here.appearance(FIRST_MODE + k)[FIRST_MODE..]);
+        }
+        let (of_pose, of_modes) = self.gradient.as_mut_slice().split_at_mut(6);
+        add(of_pose, s, &here.gradient);
+        add(of_modes, s, &here.row[FIRST_MODE..]);
     }
 
     /// Adds the outer product of a triangle's part in the gradient, after gain and bias (factors of the appearance
-    /// columns `gain_and_bias`).
+    /// columns `gain_and_bias`), to the upper half of the scatter.
     fn scatter_triangle(
         &mut self,
         here: &Contribution<'_>,
         gain_and_bias: [(usize, f64); 2],
         column: &mut Vec<f64>,
     ) {
-        let n = self.gradient.len();
-        let (part, appearance, inside) = (here.part, &here.moments().appearance, here.inside);
-        let mut v = part.gradient;
-        for (column, factor) in gain_and_bias {
-            v += (factor * part.share) * part.cross.fixed_view::<6, 1>(0, column);
-        }
         column.clear();
-        column.extend(&(part.motion.tr_mul(&v) * here.s));
-        for k in 0..n - 6 {
-            let photometric: f64 =
-                gain_and_bias.iter().map(|(c, f)| f * inside * appearance[(FIRST_MODE + k, *c)]).sum();
-            column.push(here.s * (here.row()[FIRST_MODE + k] + photometric));
+        column.extend(here.gradient.iter().chain(&here.row[FIRST_MODE..]).map(|g| here.s * g));
+        for (c, factor) in gain_and_bias {
+            add(&mut column[..6], here.s * factor, &here.coupled[c]);
+            add(&mut column[6..], here.share * factor, &here.appearance(c)[FIRST_MODE..]);
         }
-        let g = DVectorView::from_slice(column, n);
-        self.scatter.ger(1.0, &g, &g, 1.0);
+        for (j, sums) in self.scatter.as_mut_slice().chunks_exact_mut(column.len()).enumerate() {
+            add(&mut sums[..=j], column[j], column);
+        }
     }
 
-    /// Schur complement of one group's gain and bias.
+    /// Schur complement of one group's gain and bias, in the upper half.
     fn eliminate(&mut self, [gain, bias]: [&[f64]; 2], solution: &Solution) {
-        let inverse = &solution.inverse;
+        let (inverse, n) = (&solution.inverse, self.gradient.len());
         for (j, (g, b)) in gain.iter().zip(bias).enumerate() {
             let with_gain = inverse[(0, 0)] * g + inverse[(0, 1)] * b;
             let with_bias = inverse[(1, 0)] * g + inverse[(1, 1)] * b;
-            for (sum, (g, b)) in self.hessian.column_mut(j).iter_mut().zip(gain.iter().zip(bias)) {
-                *sum -= g * with_gain + b * with_bias;
-            }
+            let sums = &mut self.hessian.as_mut_slice()[j * n..][..=j];
+            add(sums, -with_gain, gain);
+            add(sums, -with_bias, bias);
             self.gradient[j] += solution.value[0] * g + solution.value[1] * b;
         }
     }

@@ -3,11 +3,12 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::evaluator::{Evaluator, visibility};
+use super::evaluator::{Evaluator, Sight};
 use super::inverse_compositional::InverseCompositional;
 use super::levenberg_marquardt::{Descent, State};
 use super::normal_equations::{LevelProblem, Rows, cost};
 use super::photometric::Solution;
+use super::visibility::visibility;
 use super::workspace::Workspace;
 use super::{PoseEstimate, Start, Target};
 use crate::backend::{Backend, Sums};
@@ -39,10 +40,11 @@ impl InverseCompositional {
         work.begin(&promising);
         // Occlusion is the business of full size: robust weights on coarse levels cost reach.
         let finest = 1.min(coarsest);
-        self.coarse_to_fine(backend, target, (finest..=coarsest).rev(), None, work)?;
+        self.coarse_to_fine(backend, std::slice::from_ref(target), (finest..=coarsest).rev(), None, work)?;
         let problem = self.problem(target, finest);
         let row_len = Sums::row_len(target.model.modes());
-        let Workspace { descents, scratch, .. } = work;
+        let Workspace { descents, workers, .. } = work;
+        let scratch = &mut workers[0].scratch;
         let mut misfit = |d: &Descent| {
             let rows = Rows { data: &d.look.rows, row_len };
             misfit(&problem, &d.steps.state.appearance, &rows, &d.look.visibility, &mut scratch.solutions)
@@ -51,9 +53,9 @@ impl InverseCompositional {
         let best = descents.iter().zip(misfits).min_by(|(_, a), (_, b)| a.total_cmp(b));
         let start = best.map_or_else(|| around.clone(), |(d, _)| start_of(&d.steps.state));
         work.begin(&[start]);
-        self.coarse_to_fine(backend, target, (0..=finest).rev(), Some(finest), work)?;
+        self.coarse_to_fine(backend, std::slice::from_ref(target), (0..=finest).rev(), Some(finest), work)?;
         let mut estimates = Vec::new();
-        work.finish(backend, target, &mut estimates)?;
+        work.finish(backend, std::slice::from_ref(target), &mut estimates)?;
         Ok(estimates.remove(0))
     }
 
@@ -81,10 +83,10 @@ impl InverseCompositional {
         let problem = self.problem(target, level);
         // What is visible hardly depends on the shift.
         let visible = visibility(target, &start);
-        let Workspace { evaluation, scratch, .. } = work;
-        let mut evaluator = Evaluator::new(backend, target, &problem, evaluation);
-        evaluator.evaluate(states.iter().map(|s| (s, &*visible)))?;
-        let solutions = &mut scratch.solutions;
+        let Workspace { evaluation, workers, .. } = work;
+        let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, evaluation);
+        evaluator.evaluate(states.iter().map(|state| Sight { frame: 0, state, visibility: &visible }))?;
+        let solutions = &mut workers[0].scratch.solutions;
         let misfits: Vec<f64> = (0..states.len())
             .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible, solutions))
             .collect();

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
 
 use super::evaluator::{Evaluation, finish, ms_since};
 use super::levenberg_marquardt::Descent;
@@ -18,19 +19,46 @@ use crate::geometry::raster::ZBuffer;
 pub(super) struct Workspace {
     pub(super) descents: Vec<Descent>,
     pub(super) evaluation: Evaluation,
-    pub(super) zbuffer: ZBuffer,
-    pub(super) scratch: Scratch,
+    /// Memory of every thread that works on the descents; at least one while the workspace is lent.
+    pub(super) workers: Vec<Worker>,
     pub(super) times: AlignTimes,
 }
 
+/// What one thread needs.
+#[derive(Debug, Default)]
+pub(super) struct Worker {
+    pub(super) zbuffer: ZBuffer,
+    pub(super) scratch: Scratch,
+}
+
 impl Workspace {
-    /// One descent per start.
+    /// The memory of `kept`, ready to be used.
+    pub(super) fn lent(kept: &mut Self) -> Self {
+        let mut work = std::mem::take(kept);
+        work.workers.resize_with(work.workers.len().max(1), Worker::default);
+        work
+    }
+
+    /// One descent per start, all in the same frame, on this thread.
     pub(super) fn begin(&mut self, starts: &[Start]) {
+        self.start_at(starts, |_| 0);
+        self.workers.truncate(1);
+    }
+
+    /// One descent per start, each in the frame with its number, on all threads.
+    pub(super) fn begin_streams(&mut self, starts: &[Start]) {
+        self.start_at(starts, |k| k);
+        let threads = starts.len().clamp(1, rayon::current_num_threads());
+        self.workers.resize_with(threads, Worker::default);
+    }
+
+    fn start_at(&mut self, starts: &[Start], frame: impl Fn(usize) -> usize) {
         (self.times, self.evaluation.spent_ms) = (AlignTimes::default(), 0.0);
         self.descents.resize_with(starts.len(), Descent::default);
-        for (descent, start) in self.descents.iter_mut().zip(starts) {
+        for (k, (descent, start)) in self.descents.iter_mut().zip(starts).enumerate() {
             descent.steps.start_at(start.camera_from_object.renormalised(), &start.appearance);
             descent.look.begin();
+            descent.frame = frame(k);
         }
     }
 
@@ -44,15 +72,34 @@ impl Workspace {
     pub(super) fn finish(
         &mut self,
         backend: &mut dyn Backend,
-        target: &Target<'_>,
+        targets: &[Target<'_>],
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         let began = Instant::now();
-        let Self { descents, evaluation, scratch, times, .. } = self;
-        finish(backend, target, descents.iter().map(Descent::ended), evaluation, scratch, estimates)?;
+        let Self { descents, evaluation, workers, times } = self;
+        let ends = descents.iter().map(Descent::ended);
+        finish(backend, targets, ends, evaluation, workers, estimates)?;
         times.score_ms = ms_since(began);
         Ok(())
     }
+}
+
+/// Does a task for every item, which comes with its number: on this thread if there is one worker, which allocates
+/// nothing, else with all of them.
+pub(super) fn for_each<T: Send>(
+    items: impl Iterator<Item = T>,
+    workers: &mut [Worker],
+    task: impl Fn(usize, T, &mut Worker) + Sync,
+) {
+    if let [worker] = workers {
+        items.enumerate().for_each(|(k, item)| task(k, item, worker));
+        return;
+    }
+    let all: Vec<_> = items.enumerate().collect();
+    let share = all.len().div_ceil(workers.len()).max(1);
+    all.into_par_iter().chunks(share).zip(workers).for_each(|(part, worker)| {
+        part.into_iter().for_each(|(k, item)| task(k, item, worker));
+    });
 }
 
 /// What is needed while equations are assembled and solved.
@@ -68,6 +115,8 @@ pub(super) struct Scratch {
     pub(super) vertices: Vertices,
     /// Cross moments of a triangle, where they are not the template's.
     pub(super) cross: DMatrix<f64>,
+    /// Couplings of a triangle's pose with its appearance columns.
+    pub(super) coupled: Vec<[f64; 6]>,
     /// One number per parameter: a triangle's part in the gradient.
     pub(super) column: Vec<f64>,
     pub(super) solver: Solver,

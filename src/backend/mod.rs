@@ -51,6 +51,8 @@ pub struct Request<'a> {
     pub image_level: usize,
     /// Number of poses B.
     pub items: usize,
+    /// B numbers of current frames: the one that each pose is looked at in. Empty: all in the first.
+    pub frames: &'a [usize],
     /// B times one warp per triangle.
     pub warps: &'a [TriangleWarp],
     /// B times the l appearance parameters.
@@ -58,11 +60,22 @@ pub struct Request<'a> {
 }
 
 impl Request<'_> {
-    /// Checks the sizes against the triangles and modes of the level and the pyramid of the current frame.
+    /// Number of the frame that a pose is looked at in.
+    pub fn frame_of(&self, item: usize) -> usize {
+        self.frames.get(item).copied().unwrap_or(0)
+    }
+
+    /// Checks the sizes against the triangles and modes of the level, the number of current frames and that of their
+    /// pyramid levels.
     ///
     /// # Errors
     /// [`Error::Invalid`] saying what does not fit.
-    pub fn check(&self, triangles: usize, modes: usize, frame_levels: usize) -> Result<()> {
+    pub fn check(
+        &self,
+        triangles: usize,
+        modes: usize,
+        (frames, frame_levels): (usize, usize),
+    ) -> Result<()> {
         let refuse =
             |problem: String, remedy: &str| Err(Error::invalid("accumulate request", problem, remedy));
         if self.image_level >= frame_levels {
@@ -70,6 +83,13 @@ impl Request<'_> {
                 format!("level {} of a frame with {frame_levels}", self.image_level),
                 "call set_frame first",
             );
+        }
+        if !self.frames.is_empty() && self.frames.len() != self.items {
+            let problem = format!("{} frames named for {} poses", self.frames.len(), self.items);
+            return refuse(problem, "name one frame per pose, or none");
+        }
+        if let Some(frame) = self.frames.iter().find(|frame| **frame >= frames) {
+            return refuse(format!("frame {frame} of {frames}"), "call set_frames with all of them first");
         }
         let warps = self.items * triangles;
         let appearance = self.items * modes;
@@ -85,7 +105,18 @@ impl Request<'_> {
     }
 }
 
-/// Does the image work. One frame is current at a time.
+/// What has crossed between host and device so far, on behalf of a backend and of all that share its device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Traffic {
+    /// Times that work was handed to the device.
+    pub submits: u64,
+    /// Times that results were waited for and read.
+    pub maps: u64,
+    /// Bytes read back.
+    pub bytes_read: u64,
+}
+
+/// Does the image work. One frame is current at a time, or, where a backend can, those of many streams.
 pub trait Backend: Send {
     /// What a person calls it: `cpu`, or the adapter's name.
     fn name(&self) -> String;
@@ -99,6 +130,11 @@ pub trait Backend: Send {
         Err(Error::invalid("backend", format!("{} cannot be shared", self.name()), "open one per stream"))
     }
 
+    /// What has crossed to and from a device; nothing where there is none.
+    fn traffic(&self) -> Traffic {
+        Traffic::default()
+    }
+
     /// Makes a model available.
     ///
     /// # Errors
@@ -110,6 +146,27 @@ pub trait Backend: Send {
     /// # Errors
     /// [`crate::Error::DeviceLost`] or [`crate::Error::Gpu`] if the device fails.
     fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()>;
+
+    /// How many frames of a size (width, height) can be current at a time: more than one where a call that serves many
+    /// streams costs less than a call for each.
+    fn frames_at_once(&self, _size: (u32, u32)) -> usize {
+        1
+    }
+
+    /// Makes all `images`, of one size, current; [`Request::frames`] says which one a pose is looked at in.
+    ///
+    /// # Errors
+    /// As [`Self::set_frame`], and [`crate::Error::Invalid`] for images of different sizes and for more of them than
+    /// [`Self::frames_at_once`].
+    fn set_frames(&mut self, images: &[&GrayImage], levels: usize) -> Result<()> {
+        match images {
+            [image] => self.set_frame(image, levels),
+            _ => {
+                let problem = format!("{} frames for a backend that holds one", images.len());
+                Err(Error::invalid("frames", problem, "ask frames_at_once first"))
+            }
+        }
+    }
 
     /// Warps every active chart pixel into the current frame, forms r = T0 + sum lambda_k T_k - I (eq. 17) and adds
     /// up q r times its factors per triangle.

@@ -21,7 +21,7 @@ use std::time::Instant;
 use image::GrayImage;
 
 use crate::align::{Aligner, PoseEstimate, Start};
-use crate::backend::{Backend, ModelId};
+use crate::backend::{Backend, ModelId, Traffic};
 use crate::error::Result;
 use crate::geometry::{Camera, Pose};
 use crate::imaging::Rectifier;
@@ -145,7 +145,12 @@ impl Tracker {
         self.backend.name()
     }
 
-    /// Probability that the pose of an estimate is right (`docs/maths.md`, "Score").
+    /// What has crossed to and from the device so far, for this stream and all that share its device.
+    pub fn traffic(&self) -> Traffic {
+        self.backend.traffic()
+    }
+
+    /// Probability that the pose of an estimate is right, (`docs/maths.md`, "Is it lost?").
     pub fn probability(&self, estimate: &PoseEstimate) -> f64 {
         probability(estimate, &self.model, &self.camera)
     }
@@ -174,10 +179,15 @@ impl Tracker {
             Some(motion) => self.track_from(motion, image, tracked)?,
             None => self.find_first(image, tracked)?,
         }
+        self.conclude(began, tracked);
+        Ok(())
+    }
+
+    /// Goes on from what came of a frame.
+    fn conclude(&mut self, began: Instant, tracked: &mut Tracked) {
         self.course.follow(tracked.status, &tracked.estimate);
         tracked.rate(&self.model, &self.camera);
         (tracked.time_ms, tracked.times) = (ms_since(began), self.times);
-        Ok(())
     }
 
     fn track_from(&mut self, motion: Motion, image: &GrayImage, tracked: &mut Tracked) -> Result<()> {

@@ -21,6 +21,8 @@ pub(crate) struct Scene {
     pub(crate) model: Model,
     pub(crate) image: GrayImage,
     pub(crate) items: usize,
+    /// Frame of every pose; empty: the first.
+    pub(crate) frames: Vec<usize>,
     pub(crate) warps: Vec<TriangleWarp>,
     pub(crate) appearance: Vec<f32>,
 }
@@ -48,7 +50,7 @@ impl Scene {
             .collect();
         let appearance = (0..items * modes).map(|_| rng.random_range(-1.0..1.0)).collect();
         let pixels = template(&mut rng, &charts, modes, &warps, &image).rounded();
-        Self { model: model(pixels, charts), image, items, warps, appearance }
+        Self { model: model(pixels, charts), image, items, frames: Vec::new(), warps, appearance }
     }
 
     /// The request for all poses.
@@ -58,6 +60,7 @@ impl Scene {
             level: 0,
             image_level: 0,
             items: self.items,
+            frames: &self.frames,
             warps: &self.warps,
             appearance: &self.appearance,
         }

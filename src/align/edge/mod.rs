@@ -7,10 +7,11 @@ mod search;
 use image::GrayImage;
 use nalgebra::{Matrix6, RowVector6, Vector6};
 
-use super::evaluator::{Evaluation, Evaluator, check, levels_for_scores, score, tracked_levels, visibility};
+use super::evaluator::{Evaluation, Evaluator, Sight, check, levels_for_scores, score, tracked_levels};
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, Rows, cost};
 use super::robust::{median, triangle_weights};
+use super::visibility::visibility;
 use super::workspace::Scratch;
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId};
@@ -178,8 +179,8 @@ impl Edge {
         let visibility = visibility(target, &end.pose);
         let (mut evaluation, mut scratch, mut weights) =
             (Evaluation::default(), Scratch::default(), Vec::new());
-        let mut evaluator = Evaluator::new(backend, target, &problem, &mut evaluation);
-        evaluator.evaluate(std::iter::once((&state, &*visibility)))?;
+        let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, &mut evaluation);
+        evaluator.evaluate(std::iter::once(Sight { frame: 0, state: &state, visibility: &visibility }))?;
         let rows: Rows<'_> = evaluator.rows(0);
         triangle_weights(&problem, &rows, &visibility, None, &mut scratch, &mut weights);
         let (mean, _) = cost(&problem, &state.appearance, &rows, &weights, &mut scratch.solutions);

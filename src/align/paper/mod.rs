@@ -6,9 +6,10 @@ mod system;
 use nalgebra::{DVector, Matrix3, Point3, Vector6};
 
 use super::covariance::{from_reference_axes, hessian_of};
-use super::evaluator::{IDLE, check, levels_for_scores, narrow, score, visibility};
+use super::evaluator::{IDLE, check, levels_for_scores, narrow, score};
 use super::levenberg_marquardt::State;
 use super::normal_equations::Rows;
+use super::visibility::visibility;
 use super::{Aligner, PoseEstimate, Start, Target};
 use crate::backend::{Backend, ModelId, Request, Sums, TriangleWarp};
 use crate::error::{Error, Result};
@@ -265,8 +266,15 @@ impl Pass<'_> {
         let warps: Vec<TriangleWarp> =
             (0..self.level.charts.len()).map(|t| self.warp(&pose, t).unwrap_or(IDLE)).collect();
         let appearance: Vec<f32> = step.appearance.iter().copied().map(narrow).collect();
-        let request =
-            Request { model, level: 0, image_level: 0, items: 1, warps: &warps, appearance: &appearance };
+        let request = Request {
+            model,
+            level: 0,
+            image_level: 0,
+            items: 1,
+            frames: &[],
+            warps: &warps,
+            appearance: &appearance,
+        };
         self.backend.accumulate(&request, &mut self.sums)
     }
 

@@ -126,7 +126,11 @@ impl CpuBackend {
             .get(request.model.0)
             .and_then(|levels| levels.get(request.level))
             .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
-        request.check(level.template.charts.len(), level.template.pixels.modes.len(), self.frame.len())?;
+        request.check(
+            level.template.charts.len(),
+            level.template.pixels.modes.len(),
+            (1, self.frame.len()),
+        )?;
         Ok(level)
     }
 }

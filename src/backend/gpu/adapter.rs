@@ -53,6 +53,8 @@ pub struct AdapterSummary {
     pub max_buffer_bytes: u64,
     /// Largest image side, pixels.
     pub max_image_side: u32,
+    /// Largest number of frames of one size that can be current at a time.
+    pub max_layers: u32,
     /// Memory shared by a workgroup, bytes.
     pub max_workgroup_bytes: u32,
 }
@@ -77,6 +79,7 @@ impl AdapterSummary {
             max_binding_bytes: limits.max_storage_buffer_binding_size,
             max_buffer_bytes: limits.max_buffer_size,
             max_image_side: limits.max_texture_dimension_2d,
+            max_layers: limits.max_texture_array_layers,
             max_workgroup_bytes: limits.max_compute_workgroup_storage_size,
         }
     }

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use bytemuck::Zeroable;
+use rayon::prelude::*;
 use wgpu::{
     BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoderDescriptor, ComputePassDescriptor,
     ComputePipeline,
@@ -10,8 +12,9 @@ use wgpu::{
 use super::buffers::{DeviceLevel, Warp, small};
 use super::context::Context;
 use super::readback::Readback;
+use super::rows::{MANY, PER_THREAD};
 use super::shaders::Stage;
-use crate::backend::Request;
+use crate::backend::{Request, TriangleWarp};
 use crate::error::Result;
 
 /// Workgroups per dimension that every device has.
@@ -113,6 +116,7 @@ impl Batch {
             let items = at_once.min(request.items - first);
             let part = Request {
                 items,
+                frames: request.frames.get(first..first + items).unwrap_or_default(),
                 warps: &request.warps[first * triangles..][..items * triangles],
                 appearance: &request.appearance[first * modes..][..items * modes],
                 ..*request
@@ -150,18 +154,29 @@ impl Batch {
             pass.dispatch_workgroups(chunks.min(MAX_GROUPS), small(part.items), chunks.div_ceil(MAX_GROUPS));
             drop(pass);
             encoder.copy_buffer_to_buffer(&bound.buffers[2], 0, staging, 0, sizes.sums);
-            context.queue.submit([encoder.finish()])
+            context.submit(encoder)
         });
         readback.read(context, submission?, sizes.sums, |data| write(bytemuck::cast_slice(data)))
     }
 
     /// Fills the host copies of the poses.
     fn encode_poses(&mut self, level: &DeviceLevel, part: &Request<'_>) {
-        let (triangles, modes) = (level.centres.len(), level.modes);
-        self.warps.clear();
-        for warps in part.warps.chunks_exact(triangles.max(1)) {
-            self.warps
-                .extend(warps.iter().zip(&level.centres).map(|(warp, centre)| Warp::new(warp, *centre)));
+        let (triangles, modes) = (level.centres.len().max(1), level.modes);
+        self.warps.resize(part.warps.len(), Warp::zeroed());
+        let encode = |(item, (out, warps)): (usize, (&mut [Warp], &[TriangleWarp]))| {
+            // Frames are layers of a texture, of which no device has more.
+            let frame = u16::try_from(part.frame_of(item)).unwrap_or(u16::MAX);
+            for ((out, warp), centre) in out.iter_mut().zip(warps).zip(&level.centres) {
+                *out = Warp::new(warp, *centre, frame);
+            }
+        };
+        if part.items < MANY {
+            let warps = part.warps.chunks_exact(triangles);
+            self.warps.chunks_exact_mut(triangles).zip(warps).enumerate().for_each(encode);
+        } else {
+            let warps = part.warps.par_chunks_exact(triangles);
+            let both = self.warps.par_chunks_exact_mut(triangles).zip(warps).enumerate();
+            both.with_min_len(PER_THREAD).for_each(encode);
         }
         self.appearance.clear();
         for lambda in part.appearance.chunks_exact(modes.max(1)) {

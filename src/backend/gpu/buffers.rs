@@ -46,19 +46,20 @@ pub struct Warp {
     pub row_u: [f32; 4],
     /// Second row of the homography, base v.
     pub row_v: [f32; 4],
-    /// Third row of the homography, 1 if active.
+    /// Third row of the homography, 1 plus the number of the frame if active.
     pub row_w: [f32; 4],
 }
 
 impl Warp {
-    /// The warp from positions relative to the chart's `centre`, minus an integer base pixel near the warped centre.
-    pub fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
+    /// The warp from positions relative to the chart's `centre`, minus an integer base pixel near the warped centre, into
+    /// a frame.
+    pub fn new(warp: &TriangleWarp, centre: Vector2<f64>, frame: u16) -> Self {
         if !warp.active {
             return Self::zeroed();
         }
         let LocalWarp { rows, base } = LocalWarp::new(warp, centre);
         let row = |i: usize, last: f32| [rows[i][0], rows[i][1], rows[i][2], last];
-        Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0) }
+        Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0 + f32::from(frame)) }
     }
 }
 
@@ -88,6 +89,8 @@ pub struct Halving {
     pub words: u32,
     /// Rows of the smaller image.
     pub rows: u32,
+    /// Rows of the larger image.
+    pub rows_in: u32,
 }
 
 /// One level of a template on the device.

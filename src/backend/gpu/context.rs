@@ -1,13 +1,15 @@
 //! The open device: errors become values, and a lost device is noticed.
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, Buffer, BufferDescriptor, BufferUsages,
-    ErrorFilter, Limits, PollType,
+    CommandEncoder, ErrorFilter, Limits, PollType, SubmissionIndex,
 };
 
 use super::adapter::{AdapterSelection, AdapterSummary, select};
+use crate::backend::Traffic;
 use crate::error::{Error, Result};
 
 /// An open device with its queue.
@@ -17,6 +19,9 @@ pub(super) struct Context {
     pub(super) queue: wgpu::Queue,
     pub(super) adapter: AdapterSummary,
     signals: Arc<Signals>,
+    submits: AtomicU64,
+    maps: AtomicU64,
+    bytes_read: AtomicU64,
 }
 
 /// What the device's callbacks left behind.
@@ -36,6 +41,7 @@ impl Context {
             max_storage_buffer_binding_size: summary.max_binding_bytes,
             max_buffer_size: summary.max_buffer_bytes,
             max_texture_dimension_2d: summary.max_image_side,
+            max_texture_array_layers: summary.max_layers,
             ..Limits::default().or_worse_values_from(&adapter.limits())
         };
         let descriptor = wgpu::DeviceDescriptor {
@@ -52,7 +58,27 @@ impl Context {
         let signals = Arc::new(Signals::default());
         listen(&device, &signals);
         tracing::debug!(adapter = summary.name, backend = summary.backend, "device opened");
-        Ok(Self { device, queue, adapter: summary, signals })
+        let (submits, maps, bytes_read) = Default::default();
+        Ok(Self { device, queue, adapter: summary, signals, submits, maps, bytes_read })
+    }
+
+    /// Hands commands to the device.
+    pub(super) fn submit(&self, encoder: CommandEncoder) -> SubmissionIndex {
+        self.submits.fetch_add(1, Relaxed);
+        self.queue.submit([encoder.finish()])
+    }
+
+    /// Counts a buffer that was mapped.
+    pub(super) fn count_map(&self, bytes: u64) {
+        self.maps.fetch_add(1, Relaxed);
+        self.bytes_read.fetch_add(bytes, Relaxed);
+    }
+
+    /// What has crossed so far.
+    pub(super) fn traffic(&self) -> Traffic {
+        let [submits, maps, bytes_read] =
+            [&self.submits, &self.maps, &self.bytes_read].map(|count| count.load(Relaxed));
+        Traffic { submits, maps, bytes_read }
     }
 
     /// Fails if the device was lost or an error came up that no scope caught.

@@ -23,16 +23,15 @@ use nalgebra::Matrix3;
 use wgpu::{BindGroupLayout, ComputePipeline};
 
 use super::{
-    Backend, Implementation, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, TriangleWarp,
-    scanning,
+    Backend, Implementation, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sums, Traffic,
+    TriangleWarp, scanning,
 };
 use crate::error::{Error, Result};
 use crate::model::{LevelTemplate, Model};
 use batch::{Batch, LoadedLevel, Pass, Target, max_items};
 use buffers::{DeviceLevel, small};
 use context::Context;
-use frame::Frame;
-use halving::Halver;
+use frame::Frames;
 use readback::Readback;
 use scan::Scanner;
 use shaders::{ACCUMULATE, DOWNSAMPLE, LINEARIZE, Partition, Stage, accumulate_planes, linearize_planes};
@@ -55,7 +54,7 @@ pub struct GpuBackend {
     scanner: Option<Scanner>,
     /// Shared with the backends of other streams.
     models: Vec<Arc<Vec<LoadedLevel>>>,
-    frame: Option<Frame>,
+    frames: Option<Frames>,
     batch: Batch,
     readback: Readback,
 }
@@ -98,7 +97,7 @@ impl GpuBackend {
             downsample,
             scanner: None,
             models: Vec::new(),
-            frame: None,
+            frames: None,
             batch: Batch::default(),
             readback: Readback::default(),
         })
@@ -109,26 +108,9 @@ impl GpuBackend {
         &self.context.adapter
     }
 
-    /// Reads a pyramid level of the current frame back, for tests and pictures.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] without such a level, [`Error::DeviceLost`] or [`Error::Gpu`] if the device fails.
-    pub fn read_level(&mut self, level: usize) -> Result<GrayImage> {
-        let frame = self.frame.as_ref().filter(|frame| level < frame.len()).ok_or_else(|| {
-            Error::invalid("pyramid level", format!("there is no level {level}"), "call set_frame first")
-        })?;
-        frame.read(&self.context, &mut self.readback, level)
-    }
-
     /// Gives the device back. Everything after that is [`Error::DeviceLost`], as after a driver reset.
     pub fn destroy(&self) {
         self.context.device.destroy();
-    }
-
-    fn new_frame(&self, size: (u32, u32), levels: usize) -> Result<Frame> {
-        let halver = |pipeline| Halver::new(&self.context, pipeline, self.partition, size, levels);
-        let halver = self.downsample.as_ref().map(halver).transpose()?;
-        Frame::new(&self.context, &self.layouts[2], size, levels, halver)
     }
 
     /// Uploads a level.
@@ -163,19 +145,19 @@ impl GpuBackend {
 
     /// Runs a level once without active triangles: drivers compile at the first dispatch, which takes up to seconds.
     fn warm_up(&mut self, level: &LoadedLevel) -> Result<()> {
-        let mut frame = self.new_frame((16, 16), 2)?;
-        frame.upload(&self.context, &GrayImage::new(16, 16))?;
+        let mut frames = self.new_frames(((16, 16), 1), 2)?;
+        frames.upload(&self.context, &[&GrayImage::new(16, 16)])?;
         let idle = TriangleWarp { image_from_chart: Matrix3::zeros(), active: false };
         let (warps, appearance) = (vec![idle; level.level.centres.len()], vec![0.0; level.level.modes]);
         let model = ModelId(self.models.len());
-        let request =
-            Request { model, level: 0, image_level: 0, items: 1, warps: &warps, appearance: &appearance };
+        let (warps, appearance) = (&*warps, &*appearance);
+        let request = Request { model, level: 0, image_level: 0, items: 1, frames: &[], warps, appearance };
         let target = Target {
             context: &self.context,
             layout: &self.layouts[1],
             level,
             pass: &self.passes[&(ACCUMULATE.name, small(level.level.modes.div_ceil(4)))],
-            image: frame.bind_group(0),
+            image: frames.bind_group(0),
             limit: self.limit(),
         };
         self.batch.run(target, &mut self.readback, &request, |_, _| ())
@@ -190,7 +172,7 @@ impl GpuBackend {
             .and_then(|levels| levels.get(request.level))
             .ok_or_else(|| Error::invalid("request", "no such model or level", "load the model first"))?;
         let (triangles, modes) = (level.level.centres.len(), level.level.modes);
-        request.check(triangles, modes, self.frame.as_ref().map_or(0, Frame::len))?;
+        request.check(triangles, modes, self.counts())?;
         Ok((triangles, modes))
     }
 
@@ -202,13 +184,13 @@ impl GpuBackend {
         mut write: impl FnMut(&DeviceLevel, std::ops::Range<usize>, &[f32]),
     ) -> Result<()> {
         let level = &self.models[request.model.0][request.level];
-        let Some(frame) = &self.frame else { return Ok(()) };
+        let Some(frames) = &self.frames else { return Ok(()) };
         let target = Target {
             context: &self.context,
             layout: &self.layouts[1],
             level,
             pass: &self.passes[&(stage.name, small(level.level.modes.div_ceil(4)))],
-            image: frame.bind_group(request.image_level),
+            image: frames.bind_group(request.image_level),
             limit: self.limit(),
         };
         let write = |items: std::ops::Range<usize>, data: &[f32]| write(&level.level, items, data);
@@ -232,10 +214,14 @@ impl Backend for GpuBackend {
             downsample: self.downsample.clone(),
             scanner: None,
             models: self.models.clone(),
-            frame: None,
+            frames: None,
             batch: Batch::default(),
             readback: Readback::default(),
         }))
+    }
+
+    fn traffic(&self) -> Traffic {
+        self.context.traffic()
     }
 
     fn load(&mut self, model: &Model) -> Result<ModelId> {
@@ -252,13 +238,15 @@ impl Backend for GpuBackend {
     }
 
     fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()> {
-        self.context.check()?;
-        let size = image.dimensions();
-        let frame = match self.frame.take().filter(|frame| frame.fits(size, levels)) {
-            Some(frame) => frame,
-            None => self.new_frame(size, levels)?,
-        };
-        self.frame.insert(frame).upload(&self.context, image)
+        self.set_frames(&[image], levels)
+    }
+
+    fn frames_at_once(&self, size: (u32, u32)) -> usize {
+        self.most_frames(size)
+    }
+
+    fn set_frames(&mut self, images: &[&GrayImage], levels: usize) -> Result<()> {
+        self.take_frames(images, levels)
     }
 
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()> {

@@ -61,6 +61,7 @@ impl Readback {
             .map_err(|e| fault(format!("no answer to the mapping: {e}")))?
             .map_err(|e| fault(e.to_string()))?;
         let view = slice.get_mapped_range().map_err(|e| fault(e.to_string()))?;
+        context.count_map(bytes);
         let value = read(&view);
         drop(view);
         buffer.unmap();

@@ -3,10 +3,16 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use super::buffers::DeviceLevel;
 use crate::backend::local::{second_to_origin, to_origin};
 use crate::backend::{Linearization, Sums};
 
+/// From so many poses on the host's part of a call is divided among threads, which then get this many at least: waking
+/// one for less costs more than it saves.
+pub(super) const MANY: usize = 16;
+pub(super) const PER_THREAD: usize = MANY / 2;
 /// Numbers of a row of [`Sums`] before the modes, on the host and, padded, on the device.
 const HEAD: usize = Sums::row_len(0);
 const DEVICE_HEAD: usize = 12;
@@ -19,14 +25,20 @@ pub(super) fn add_sums(level: &DeviceLevel, items: Range<usize>, chunk_rows: &[f
     let (row_len, triangles) = (Sums::row_len(level.modes), level.centres.len());
     let rows = &mut rows[items.start * triangles * row_len..items.end * triangles * row_len];
     let device_len = DEVICE_HEAD + level.modes.next_multiple_of(4);
-    let of_items = chunk_rows.chunks_exact(device_len * level.chunks.len());
-    for (item, rows) in of_items.zip(rows.chunks_exact_mut(row_len * triangles)) {
+    let device_item = device_len * level.chunks.len();
+    let add = |(item, rows): (&[f32], &mut [f64])| {
         for (chunk, partial) in level.chunks.iter().zip(item.chunks_exact(device_len)) {
             add_first(&mut rows[chunk.triangle as usize * row_len..][..row_len], partial);
         }
         for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
             to_origin(&mut row[..6], *centre);
         }
+    };
+    if items.len() < MANY {
+        chunk_rows.chunks_exact(device_item).zip(rows.chunks_exact_mut(row_len * triangles)).for_each(add);
+    } else {
+        let rows = rows.par_chunks_exact_mut(row_len * triangles);
+        chunk_rows.par_chunks_exact(device_item).zip(rows).with_min_len(PER_THREAD).for_each(add);
     }
 }
 

@@ -72,7 +72,7 @@ impl Scanner {
                 pass.dispatch_workgroups(small(tiles), small(request.chosen.len()), 1);
             }
             encoder.copy_buffer_to_buffer(&out, 0, readback.buffer(context, bytes)?, 0, bytes);
-            Ok((context.queue.submit([encoder.finish()]), out))
+            Ok((context.submit(encoder), out))
         })??;
         let width = small(request.image.width);
         readback.read(context, submission, bytes, |bytes| {

@@ -25,7 +25,7 @@ pub enum Kind {
     Read,
     /// A buffer that is written.
     Write,
-    /// A grey image.
+    /// Grey images of one size, one per layer.
     Image,
     /// A sampler; it only gathers.
     Sampler,
@@ -200,7 +200,7 @@ fn entry(binding: u32, kind: Kind) -> BindGroupLayoutEntry {
         Kind::Write => buffer(BufferBindingType::Storage { read_only: false }),
         Kind::Image => BindingType::Texture {
             sample_type: TextureSampleType::Float { filterable: true },
-            view_dimension: TextureViewDimension::D2,
+            view_dimension: TextureViewDimension::D2Array,
             multisampled: false,
         },
         Kind::Sampler => BindingType::Sampler(SamplerBindingType::Filtering),

@@ -135,7 +135,8 @@ pub(super) fn passes(
     for _ in 0..effort.rounds {
         for ((best, linearize), r) in best.iter_mut().zip(&mut best_linearize).zip(&mut runners) {
             let (model, warps, appearance) = (r.model, &*warps, &*appearance);
-            let request = Request { model, level: 0, image_level: 0, items: 1, warps, appearance };
+            let request =
+                Request { model, level: 0, image_level: 0, items: 1, frames: &[], warps, appearance };
             // One stage after the other: in turns each would find the other's data in the cache.
             for _ in 0..CALLS {
                 let (done, times) = timed(|| r.backend.accumulate(&request, &mut r.out.sums));

@@ -128,14 +128,21 @@ fn throughput(text: &mut String, summary: &Summary) -> std::fmt::Result {
 fn streams(text: &mut String, summary: &Summary) -> std::fmt::Result {
     writeln!(
         text,
-        "\n## Many streams of one object\n\nOne tracker per stream, all with one model; l = 4, all cores. The memory of a further \
-         stream is\nthat of the process, the device's included where it is software.\n\n\
-         | backend | streams B | frames per second | CPU ms per frame | MB per further stream |\n|---|---|---|---|---|"
+        "\n## Many streams of one object\n\nOne tracker per stream, each at another point of the sequence, all with one model; \
+         l = 4, all cores. Submits, maps\nand what is read back are per frame. The memory of a further stream is that of \
+         the process, the device's included where\nit is software.\n\n\
+         | backend | streams B | frames per second | CPU ms per frame | submits | maps | kB read | MB per further stream |\n\
+         |---|---|---|---|---|---|---|---|"
     )?;
     for f in &summary.streams {
         let (b, per_second, cpu) = (f.streams, f.per_second, f.cpu_ms_per_frame);
         let mb = f.mb_per_stream.map_or_else(String::new, |mb| format!("{mb:.1}"));
-        writeln!(text, "| {} | {b} | {per_second:.0} | {cpu:.2} | {mb} |", f.backend)?;
+        let (submits, maps, kb) = (f.submits_per_frame, f.maps_per_frame, f.kb_read_per_frame);
+        let name = &f.backend;
+        writeln!(
+            text,
+            "| {name} | {b} | {per_second:.0} | {cpu:.2} | {submits:.2} | {maps:.2} | {kb:.0} | {mb} |"
+        )?;
     }
     Ok(())
 }
