@@ -149,8 +149,8 @@ pub trait Aligner: Send {
     }
 
     /// Aligns `starts[k]` with frame k of the backend, that of `targets[k]`, in calls that all of them share; the targets are
-    /// of one model. Estimates are those of [`Self::align`] but for poses whose score says lost, where that may try
-    /// something else.
+    /// of one model. Estimates are those of [`Self::align`] but for poses whose score says lost or that have not converged,
+    /// where that may try something else.
     ///
     /// # Errors
     /// As [`Self::align`], and [`crate::Error::Invalid`] if the method has no such way.

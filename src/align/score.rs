@@ -2,7 +2,6 @@
 //! residuals do not.
 
 use super::normal_equations::Rows;
-use super::robust::median;
 use crate::model::LevelTemplate;
 use crate::model::moments::{BIAS, FIRST_MODE, GAIN};
 
@@ -14,7 +13,10 @@ const RECOGNISED: f64 = 0.7;
 const MIN_INSIDE: f64 = 0.5;
 /// Fewer textured triangles than this say nothing.
 const MIN_TRIANGLES: usize = 3;
-/// A pose is lost below this median correlation.
+/// Share of the triangles, in the middle of their order, whose mean correlation counts. The median alone jumps where half of the
+/// object is covered: it is that of a triangle that is seen or of one that is not.
+const MIDDLE: f64 = 0.2;
+/// A pose is lost below this correlation.
 pub(super) const LOST_CORRELATION: f64 = 0.56;
 /// A pose is lost below this share of recognised triangles.
 pub(super) const LOST_SHARE: f64 = 0.42;
@@ -26,7 +28,7 @@ const UNIT_SHARE: f64 = 0.045;
 /// Agreement of template and image at a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Score {
-    /// Median over the visible textured triangles of the correlation between template and image, -1..1.
+    /// Correlation between template and image over the visible textured triangles, -1..1: the mean of the middle fifth.
     pub correlation: f64,
     /// Share (0..1) of them with a correlation above 0.7.
     pub recognised: f64,
@@ -73,8 +75,17 @@ impl Score {
         let recognised = correlations.iter().filter(|c| **c > RECOGNISED).count();
         #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
         let recognised = recognised as f64 / correlations.len() as f64;
-        Self { correlation: median(correlations), recognised, visible }
+        Self { correlation: middle(correlations), recognised, visible }
     }
+}
+
+/// Mean of the middle of at least one value; changes their order.
+fn middle(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count")]
+    let left = (values.len() as f64 * (1.0 - MIDDLE) / 2.0) as usize;
+    let middle = &values[left..values.len() - left];
+    middle.iter().sum::<f64>() / middle.len() as f64
 }
 
 /// Correlation of template T = sum a_k A_k and image I = T - r over one triangle, weighted by q.
@@ -90,4 +101,25 @@ fn correlation(level: &LevelTemplate, rows: &Rows<'_>, triangle: usize, appearan
     let covariance = ti - t * i / n;
     let variances = (tt - t * t / n) * (ii - i * i / n);
     if variances > 0.0 { (covariance / variances.sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_does_not_jump() {
+        let half = |seen: usize| {
+            let mut values: Vec<f64> = (0..100).map(|k| if k < seen { 0.9 } else { 0.1 }).collect();
+            middle(&mut values)
+        };
+        assert_eq!([half(30), half(70)].map(|c| (c * 10.0).round()), [1.0, 9.0], "like the median");
+        assert!(
+            (half(49) - 0.46).abs() < 1e-9 && (half(51) - 0.54).abs() < 1e-9,
+            "{} {}",
+            half(49),
+            half(51)
+        );
+        assert_eq!(middle(&mut [0.3]), 0.3, "one");
+    }
 }

@@ -21,7 +21,7 @@ use crate::train::{TrainOptions, TrainingImage, extend, train};
 const CERTAIN_MM: f64 = 0.5;
 /// The same for rotations.
 const CERTAIN_DEG: f64 = 0.2;
-/// And with at least this median correlation.
+/// And with at least this correlation.
 const CERTAIN_CORRELATION: f64 = 0.8;
 /// More frames than this add memory, not knowledge.
 const MAX_EXTENSION_FRAMES: usize = 40;

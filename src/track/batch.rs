@@ -99,7 +99,7 @@ impl Stream<'_> {
     /// alone.
     fn take(&mut self, estimate: PoseEstimate, times: FrameTimes, began: Instant) {
         let tracker = &mut *self.tracker;
-        if estimate.score.is_lost() || tracker.is_doubtful(&estimate) {
+        if estimate.score.is_lost() || !estimate.converged || tracker.is_doubtful(&estimate) {
             return;
         }
         tracker.times = FrameTimes { rectify_ms: tracker.times.rectify_ms, ..times };

@@ -6,7 +6,7 @@ use crate::align::{PoseEstimate, Start};
 use crate::geometry::{Camera, Pose};
 use crate::model::Model;
 
-/// After a loss, or a search, a pose is certain from this median correlation on: wrong poses that a search ended in reached
+/// After a loss, or a search, a pose is certain from this correlation on: wrong poses that a search ended in reached
 /// 0.76 where right ones have more than 0.9.
 pub(super) const RECOVERED_CORRELATION: f64 = 0.8;
 /// And if this share of its triangles is recognised. A wrong pose that explains one face of a half-hidden box where two or
@@ -25,7 +25,7 @@ pub(super) struct Course {
     pub(super) appearance: Vec<f64>,
     /// Frames since the last one with a pose: coming back needs more evidence than going on.
     pub(super) lost_frames: usize,
-    /// Median correlation in the last frame with a pose.
+    /// Correlation in the last frame with a pose.
     pub(super) correlation: f64,
     /// False from a search, which may end in a wrong pose of a half-hidden object, until the object is recognised clearly.
     is_confirmed: bool,
