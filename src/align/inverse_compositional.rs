@@ -15,12 +15,19 @@ use crate::model::{Grouping, Model};
 /// Triangle weights act from this level down: on coarser ones they cost reach.
 pub(super) const COARSEST_ROBUST: usize = 1;
 
-/// Coarsest level, and coarsest with triangle weights, of a further descent from a prediction, and from which ends it is
-/// tried. What covers much of the object leads a descent astray that trusts everything on its coarse levels: first without
-/// those, since a prediction is mostly right to a pixel or two, then with weights on all.
-const RETRIES: [((usize, usize), fn(&PoseEstimate) -> bool); 2] = [
-    ((COARSEST_ROBUST, COARSEST_ROBUST), |end| end.score.is_lost() || !end.converged),
-    ((usize::MAX, usize::MAX), |end| end.score.is_lost()),
+/// A further descent from a prediction.
+struct Retry {
+    /// Coarsest level, and coarsest with triangle weights.
+    levels: (usize, usize),
+    /// Is it also for ends that did not converge, or only for those that are lost?
+    unconverged: bool,
+}
+
+/// What covers much of the object leads a descent astray that trusts everything on its coarse levels: first without those,
+/// since a prediction is mostly right to a pixel or two, then with weights on all.
+const RETRIES: [Retry; 2] = [
+    Retry { levels: (COARSEST_ROBUST, COARSEST_ROBUST), unconverged: true },
+    Retry { levels: (usize::MAX, usize::MAX), unconverged: false },
 ];
 
 /// Choices of the method.
@@ -113,7 +120,8 @@ impl InverseCompositional {
         estimates: &mut Vec<PoseEstimate>,
     ) -> Result<()> {
         self.descend(backend, target, (usize::MAX, COARSEST_ROBUST), starts, work, estimates)?;
-        for (levels, is_astray) in RETRIES.into_iter().filter(|_| self.options.robust) {
+        for Retry { levels, unconverged } in RETRIES.into_iter().filter(|_| self.options.robust) {
+            let is_astray = |end: &PoseEstimate| end.score.is_lost() || (unconverged && !end.converged);
             let astray: Vec<usize> = (0..starts.len()).filter(|&i| is_astray(&estimates[i])).collect();
             if astray.is_empty() {
                 return Ok(());
