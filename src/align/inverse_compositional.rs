@@ -15,15 +15,7 @@ use crate::model::{Grouping, Model};
 /// Triangle weights act from this level down: on coarser ones they cost reach.
 pub(super) const COARSEST_ROBUST: usize = 1;
 /// How a prediction is picked up: from all levels, with triangle weights on the fine ones.
-const TRACKED: (usize, usize) = (usize::MAX, COARSEST_ROBUST);
-
-/// Coarsest level, and coarsest with triangle weights, of a further descent from a prediction, and from which ends it is
-/// tried. What covers much of the object leads a descent astray that trusts everything on its coarse levels: first without
-/// those, since a prediction is mostly right to a pixel or two, then with weights on all.
-const RETRIES: [((usize, usize), fn(&PoseEstimate) -> bool); 2] = [
-    ((COARSEST_ROBUST, COARSEST_ROBUST), |end| end.score.is_lost() || !end.converged),
-    ((usize::MAX, usize::MAX), |end| end.score.is_lost()),
-];
+pub(super) const TRACKED: (usize, usize) = (usize::MAX, COARSEST_ROBUST);
 
 /// Choices of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,7 +79,7 @@ impl InverseCompositional {
     }
 
     /// Descends from the levels up to `coarsest`, with triangle weights from level `robust_from` down.
-    fn descend(
+    pub(super) fn descend(
         &self,
         backend: &mut dyn Backend,
         target: &Target<'_>,
@@ -115,52 +107,6 @@ impl InverseCompositional {
         self.coarse_to_fine(backend, targets, levels, robust, work)?;
         work.end_times(began);
         work.finish(backend, targets, estimates)
-    }
-
-    /// Picks up predictions, and those that went astray again as [`RETRIES`] says.
-    fn picked_up(
-        &self,
-        backend: &mut dyn Backend,
-        target: &Target<'_>,
-        starts: &[Start],
-        work: &mut Workspace,
-        estimates: &mut Vec<PoseEstimate>,
-    ) -> Result<()> {
-        self.descend(backend, target, TRACKED, starts, work, estimates)?;
-        for (levels, is_astray) in RETRIES.into_iter().filter(|_| self.options.robust) {
-            let astray: Vec<usize> = (0..starts.len()).filter(|&i| is_astray(&estimates[i])).collect();
-            if astray.is_empty() {
-                return Ok(());
-            }
-            self.retry(backend, target, levels, starts, &astray, work, estimates)?;
-        }
-        Ok(())
-    }
-
-    /// Descends once more from the given ones of the starts; an end that fits better takes the place of the first.
-    #[expect(clippy::too_many_arguments, reason = "what a descent needs, and from which starts")]
-    fn retry(
-        &self,
-        backend: &mut dyn Backend,
-        target: &Target<'_>,
-        levels: (usize, usize),
-        starts: &[Start],
-        astray: &[usize],
-        work: &mut Workspace,
-        estimates: &mut [PoseEstimate],
-    ) -> Result<()> {
-        let (first, mut guarded) = (work.times, Vec::new());
-        let again: Vec<Start> = astray.iter().map(|&i| starts[i].clone()).collect();
-        self.descend(backend, target, levels, &again, work, &mut guarded)?;
-        work.times += first;
-        for (&i, guarded) in astray.iter().zip(guarded) {
-            let iterations = estimates[i].iterations + guarded.iterations;
-            if guarded.score.correlation > estimates[i].score.correlation {
-                estimates[i] = guarded;
-            }
-            estimates[i].iterations = iterations;
-        }
-        Ok(())
     }
 
     pub(super) fn problem<'a>(&self, target: &Target<'a>, level: usize) -> LevelProblem<'a> {

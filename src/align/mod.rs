@@ -14,6 +14,7 @@ mod method;
 mod normal_equations;
 mod paper;
 mod photometric;
+mod retry;
 mod robust;
 mod score;
 mod search;
