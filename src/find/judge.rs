@@ -14,7 +14,7 @@ use crate::error::Result;
 use crate::geometry::Pose;
 use crate::model::Model;
 
-/// A pose with nothing hidden has at least this median correlation.
+/// A pose with nothing hidden has at least this correlation ([`crate::align::Score`]).
 const WHOLE_CORRELATION: f64 = 0.8;
 /// Another pose is an ambiguity from this share of what the best one explains on.
 const AMBIGUOUS_SHARE: f64 = 0.75;
