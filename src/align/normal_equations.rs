@@ -87,7 +87,8 @@ pub(super) struct NormalEquations {
     pub(super) hessian: DMatrix<f64>,
     /// JtQr, 6+l.
     pub(super) gradient: DVector<f64>,
-    /// Sum of `g_i g_i^T` over the triangles, `g_i` the part of triangle i in the gradient: how much they disagree.
+    /// Sum of `g_i g_i^T` over the triangles, `g_i` the part of triangle i in the gradient: how much they disagree. Zero on coarse
+    /// levels.
     pub(super) scatter: DMatrix<f64>,
     /// Number of triangles behind the scatter.
     pub(super) triangles: usize,
@@ -142,7 +143,10 @@ impl NormalEquations {
             let part = derivative.of_triangle(level, (t, geometry), seen, &corners, gain, cross);
             let here = Contribution::new(level, (t, rows), (s[t], seen.1), &part, coupled);
             self.add_triangle(&here);
-            self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
+            // Only where a descent ends its covariance is asked for.
+            if problem.number == 0 {
+                self.scatter_triangle(&here, solutions[group].columns(groups.centre[group]), column);
+            }
             here.couple(couplings.of(group), groups.centre[group]);
             vertices.use_triangle(&mesh.triangles[t]);
             self.triangles += 1;

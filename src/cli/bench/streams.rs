@@ -26,7 +26,8 @@ pub(super) struct StreamFigures {
     pub(super) maps_per_frame: f64,
     /// Read back from the device, per frame, kB.
     pub(super) kb_read_per_frame: f64,
-    /// Memory of the process that one more stream takes (for a software adapter that of the device, too), MB.
+    /// Memory of the process that one more stream takes (for a software adapter that of the device, too), MB;
+    /// not known where the process has freed more than that meanwhile.
     pub(super) mb_per_stream: Option<f64>,
 }
 
@@ -70,7 +71,7 @@ pub(super) fn streams(
             submits_per_frame: per_frame(after.submits, before.submits),
             maps_per_frame: per_frame(after.maps, before.maps),
             kb_read_per_frame: per_frame(after.bytes_read, before.bytes_read) / 1e3,
-            mb_per_stream: grown.filter(|_| streams > 1).map(|mb| mb / (streams - 1) as f64),
+            mb_per_stream: grown.filter(|mb| streams > 1 && *mb > 0.0).map(|mb| mb / (streams - 1) as f64),
         });
     }
     Ok(figures)
