@@ -18,7 +18,7 @@ const STYLE: &str = "\
 --tint:#1f252c;--accent:#5cb0ff}}\
 *{box-sizing:border-box}body{margin:0;background:var(--back);color:var(--ink);\
 font:16px/1.55 system-ui,-apple-system,'Segoe UI',Roboto,'DejaVu Sans',sans-serif}\
-main{max-width:1040px;margin:0 auto;padding:40px 20px 60px}h1{font-size:1.9rem;line-height:1.2;margin:0 0 .4em}\
+main{max-width:1120px;margin:0 auto;padding:40px 20px 60px}h1{font-size:1.9rem;line-height:1.2;margin:0 0 .4em}\
 h2{font-size:1.3rem;margin:2.4em 0 .5em}p{max-width:76ch;margin:.5em 0 1em}.lead{font-size:1.1rem;color:var(--soft)}\
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(220px,1fr));gap:14px;margin:24px 0}\
 .card,figure,.scroll{background:var(--card);border:1px solid var(--rule);border-radius:10px}\
@@ -29,7 +29,7 @@ figcaption{color:var(--soft);font-size:.92rem;margin-top:10px;max-width:90ch}\
 .row{display:grid;gap:14px}.two{grid-template-columns:repeat(2,1fr)}.three{grid-template-columns:repeat(3,1fr)}\
 @media(max-width:700px){.two,.three{grid-template-columns:1fr}}.scroll{overflow-x:auto;margin:16px 0}\
 table{border-collapse:collapse;width:100%;font-size:.88rem;font-variant-numeric:tabular-nums}\
-th,td{padding:5px 12px;text-align:right;white-space:nowrap}.text{text-align:left}thead th{white-space:normal;\
+th,td{padding:5px 8px;text-align:right;white-space:nowrap}.text{text-align:left}thead th{white-space:normal;\
 vertical-align:bottom;color:var(--soft);font-weight:600;border-bottom:1px solid var(--rule)}\
 .heading th{text-align:left;background:var(--tint);font-weight:650;padding-top:8px;padding-bottom:8px}\
 td.text:first-child{font-weight:600}tbody tr+tr.first td{border-top:1px solid var(--rule)}\

@@ -15,9 +15,9 @@ use crate::backend::local::LocalWarp;
 #[derive(Debug)]
 pub(super) struct LinearScratch {
     common: Scratch,
-    /// h_u, h_v of the image.
+    /// Slope `(h_u, h_v)` of the image.
     slope: [[f32; BLOCK]; 2],
-    /// q (h_u u, h_u v, h_u, h_v u, h_v v, h_v).
+    /// `q (h_u u, h_u v, h_u, h_v u, h_v v, h_v)`.
     direction: [[f32; BLOCK]; 6],
 }
 
