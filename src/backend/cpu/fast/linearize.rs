@@ -165,8 +165,8 @@ fn sum_modes<S: Simd, const N: usize>(
         for m in 0..N {
             values[m] = load(simd, modes[m], &at);
         }
-        for k in 0..6 {
-            let direction = load(simd, &scratch.direction[k], &at);
+        for (k, column) in scratch.direction.iter().enumerate() {
+            let direction = load(simd, column, &at);
             for m in 0..N {
                 sums[m][k] = direction.mul_add(values[m], sums[m][k]);
             }
