@@ -156,19 +156,9 @@ fn sum_texels<S: Simd, const INSIDE: bool>(
         let gradient_u = load(simd, block.texels[0], &at);
         let gradient_v = load(simd, block.texels[1], &at);
         let intensity = load(simd, block.texels[2], &at);
-        let weight = load(simd, block.texels[3], &at);
         let template = if is_mean { intensity } else { load(simd, &scratch.template, &at) };
         let residual = template - sample(simd, scratch, at.clone());
-        // The weight of padding is zero.
-        let mut q = weight;
-        if !INSIDE {
-            let inside = load(simd, &scratch.inside, &at);
-            q *= inside;
-            sums[7] += q;
-            sums[8] += inside;
-        }
-        let qr = q * residual;
-        qr.store_slice(&mut scratch.weighted[at.clone()]);
+        let [_, qr] = weigh::<S, INSIDE>(simd, block, &at, [intensity, residual], scratch, &mut sums);
         let [u, v] = unpack(simd, &block.positions[at]);
         let (along_u, along_v) = (qr * gradient_u, qr * gradient_v);
         sums[0] = along_u.mul_add(u, sums[0]);
@@ -177,12 +167,44 @@ fn sum_texels<S: Simd, const INSIDE: bool>(
         sums[3] = along_v.mul_add(u, sums[3]);
         sums[4] = along_v.mul_add(v, sums[4]);
         sums[5] += along_v;
-        sums[6] = qr.mul_add(residual, sums[6]);
-        sums[9] = qr.mul_add(intensity, sums[9]);
-        sums[10] += qr;
     }
-    for k in 0..sums.len() {
-        row[k] += f64::from(sums[k].reduce_sum());
+    add_up(sums, row);
+}
+
+/// q and q r of some residuals; q r is kept for the modes, and added up with what else does not depend on a slope.
+#[inline(always)]
+pub(super) fn weigh<S: Simd, const INSIDE: bool>(
+    simd: S,
+    block: &Block<'_>,
+    at: &std::ops::Range<usize>,
+    [intensity, residual]: [S::f32s; 2],
+    scratch: &mut Scratch,
+    sums: &mut [S::f32s; 11],
+) -> [S::f32s; 2] {
+    // The weight of padding is zero.
+    let mut q = load(simd, block.texels[3], at);
+    if !INSIDE {
+        let inside = load(simd, &scratch.inside, at);
+        q *= inside;
+        sums[7] += q;
+        sums[8] += inside;
+    }
+    let qr = q * residual;
+    qr.store_slice(&mut scratch.weighted[at.start..at.end]);
+    sums[6] = qr.mul_add(residual, sums[6]);
+    sums[9] = qr.mul_add(intensity, sums[9]);
+    sums[10] += qr;
+    [q, qr]
+}
+
+/// Adds the sums of a block to those of its triangle.
+#[inline(always)]
+pub(super) fn add_up<S: Simd, V: SimdFloat<S, Element = f32>, const N: usize>(
+    sums: [V; N],
+    totals: &mut [f64],
+) {
+    for k in 0..N {
+        totals[k] += f64::from(sums[k].reduce_sum());
     }
 }
 

@@ -6,7 +6,7 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::BLOCK;
-use super::kernel::{Scratch, columns, load, look, neighbours, project, unpack};
+use super::kernel::{Scratch, add_up, columns, load, look, neighbours, project, unpack, weigh};
 use super::pairs::Pairs;
 use super::template::Block;
 use crate::backend::local::LocalWarp;
@@ -82,16 +82,7 @@ fn sum_first<S: Simd, const INSIDE: bool>(
         let slope_u = fv.mul_add(along_lower - along_upper, along_upper);
         let slope_v = lower - upper;
         let residual = template - fv.mul_add(slope_v, upper);
-        // The weight of padding is zero.
-        let mut q = load(simd, block.texels[3], &at);
-        if !INSIDE {
-            let inside = load(simd, &common.inside, &at);
-            q *= inside;
-            sums[7] += q;
-            sums[8] += inside;
-        }
-        let qr = q * residual;
-        qr.store_slice(&mut common.weighted[at.clone()]);
+        let [q, _] = weigh::<S, INSIDE>(simd, block, &at, [intensity, residual], common, &mut sums);
         slope_u.store_slice(&mut slope[0][at.clone()]);
         slope_v.store_slice(&mut slope[1][at.clone()]);
         let [u, v] = unpack(simd, &block.positions[at.clone()]);
@@ -101,13 +92,8 @@ fn sum_first<S: Simd, const INSIDE: bool>(
             terms[k].store_slice(&mut direction[k][at.clone()]);
             sums[k] = terms[k].mul_add(residual, sums[k]);
         }
-        sums[6] = qr.mul_add(residual, sums[6]);
-        sums[9] = qr.mul_add(intensity, sums[9]);
-        sums[10] += qr;
     }
-    for k in 0..sums.len() {
-        row[k] += f64::from(sums[k].reduce_sum());
-    }
+    add_up(sums, row);
 }
 
 /// sum a b (u^2, u v, u, v^2, v, 1).
@@ -126,9 +112,7 @@ fn sum_places<S: Simd>(simd: S, block: &Block<'_>, a: &[f32], b: &[f32], totals:
         sums[4] += of_v;
         sums[5] += weight;
     }
-    for k in 0..6 {
-        totals[k] += f64::from(sums[k].reduce_sum());
-    }
+    add_up(sums, totals);
 }
 
 /// Couplings of the directions with T0 and with 1.
@@ -144,9 +128,7 @@ fn sum_mean<S: Simd>(simd: S, block: &Block<'_>, scratch: &LinearScratch, totals
             sums[6 + k] += direction;
         }
     }
-    for k in 0..12 {
-        totals[k] += f64::from(sums[k].reduce_sum());
-    }
+    add_up(sums, totals);
 }
 
 /// Couplings of the directions with some modes.
@@ -173,8 +155,6 @@ fn sum_modes<S: Simd, const N: usize>(
         }
     }
     for m in 0..N {
-        for k in 0..6 {
-            totals[6 * m + k] += f64::from(sums[m][k].reduce_sum());
-        }
+        add_up(sums[m], &mut totals[6 * m..][..6]);
     }
 }
