@@ -2,13 +2,13 @@
 
 use std::time::Instant;
 
-use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 use super::covariance::covariance;
 use super::derivative::SecondRows;
 use super::levenberg_marquardt::State;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows};
+use super::rendering::{Light, rendered};
 use super::score::Score;
 use super::workspace::{Worker, for_each};
 use super::{PoseEstimate, Start, Target};
@@ -32,12 +32,6 @@ pub(super) fn tracked_levels(model: &Model) -> impl Iterator<Item = usize> + use
 pub(super) fn levels_for_scores(model: &Model) -> usize {
     model.levels.len().min(SCORE_LEVEL + 1)
 }
-
-/// A triangle that is left out.
-pub(super) const IDLE: TriangleWarp = TriangleWarp {
-    image_from_chart: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    active: false,
-};
 
 /// Refuses starts that do not fit the model.
 pub(super) fn check(target: &Target<'_>, starts: &[Start]) -> Result<()> {
@@ -123,7 +117,7 @@ pub(super) fn score(
     let (mut evaluation, mut worker, mut found) =
         (Evaluation::default(), Worker::default(), Score::default());
     let (targets, workers) = (std::slice::from_ref(target), std::slice::from_mut(&mut worker));
-    let sights = std::iter::once(Sight { frame: 0, state, visibility });
+    let sights = std::iter::once(Sight { frame: 0, state, visibility, light: &[] });
     scores(backend, targets, sights, std::iter::once(&mut found), &mut evaluation, workers)?;
     Ok(found)
 }
@@ -136,6 +130,8 @@ pub(super) struct Sight<'s> {
     pub(super) state: &'s State,
     /// Share of each triangle that nothing hides.
     pub(super) visibility: &'s [f64],
+    /// Light on each triangle; empty where it is not known.
+    pub(super) light: &'s [Light],
 }
 
 /// What the stages are given and what they hand back.
@@ -210,16 +206,17 @@ impl<'a> Evaluator<'a> {
         appearance.clear();
         appearance.extend(sights.clone().flat_map(|s| s.state.appearance.iter().copied().map(narrow)));
         let geometry = &self.problem.level.geometry;
-        warps.resize(frames.len() * geometry.len(), IDLE);
+        warps.resize_with(frames.len() * geometry.len(), TriangleWarp::idle);
+        let is_full_size = self.problem.number == 0;
         let (targets, image_level) = (self.targets, self.problem.image_level);
         let of_sight = |(sight, warps): (Sight<'_>, &mut [TriangleWarp])| {
             let camera = targets[sight.frame].camera.at_level(image_level);
             let projection = projection(&camera, &sight.state.pose);
-            for ((warp, geometry), visible) in warps.iter_mut().zip(geometry).zip(sight.visibility) {
-                let geometry = geometry.as_ref().filter(|_| *visible > 0.0);
-                *warp = geometry.map_or(IDLE, |g| TriangleWarp {
-                    image_from_chart: projection * g.object_from_chart,
-                    active: true,
+            for (t, (warp, geometry)) in warps.iter_mut().zip(geometry).enumerate() {
+                let geometry = geometry.as_ref().filter(|_| sight.visibility[t] > 0.0);
+                *warp = geometry.map_or_else(TriangleWarp::idle, |g| {
+                    let light = sight.light.get(t).copied().unwrap_or_default();
+                    rendered(projection * g.object_from_chart, g, light, is_full_size)
                 });
             }
         };

@@ -14,6 +14,8 @@ use crate::model::{Grouping, Model};
 
 /// Triangle weights act from this level down: on coarser ones they cost reach.
 pub(super) const COARSEST_ROBUST: usize = 1;
+/// Steps at full size that are taken whatever the cost says, pixels.
+const TRUSTED_PX: f64 = 0.1;
 /// How a prediction is picked up: from all levels, with triangle weights on the fine ones.
 pub(super) const TRACKED: (usize, usize) = (usize::MAX, COARSEST_ROBUST);
 
@@ -74,6 +76,7 @@ impl InverseCompositional {
             damping: self.options.damping,
             max_iterations: self.options.max_iterations,
             stop_px,
+            trusted_px: if level == 0 { TRUSTED_PX } else { 0.0 },
             redescent: robust.filter(|coarsest| level <= *coarsest).map(|_| Redescent::DEFAULT),
         }
     }

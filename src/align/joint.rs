@@ -8,7 +8,8 @@ use nalgebra::Matrix6;
 use super::covariance::covariance;
 use super::evaluator::{Evaluation, Evaluator, Sight, check, ms_since, score, tracked_levels};
 use super::inverse_compositional::{COARSEST_ROBUST, InverseCompositional};
-use super::levenberg_marquardt::{Look, Settings, State, Steps};
+use super::levenberg_marquardt::{Settings, State, Steps};
+use super::look::Look;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
 use super::score::Score;
 use super::workspace::{Workspace, reset_matrix, reset_vector};
@@ -123,9 +124,7 @@ impl Joint {
             let (cost, _) = total_cost(parts.map(|((problem, look), data)| {
                 cost(problem, &state.appearance, &rows(problem, data), &look.weights, solutions)
             }));
-            let is_lower = cost < self.equations.cost;
-            self.steps.judge(is_lower);
-            if is_lower {
+            if self.steps.judge(cost < self.equations.cost, settings) {
                 let before = self.steps.along(&self.equations.gradient);
                 self.look(eyes, &problems, settings, work);
                 self.steps.learn(before, self.steps.along(&self.equations.gradient));
@@ -147,7 +146,7 @@ impl Joint {
             let mut evaluator =
                 Evaluator::new(&mut *eye.backend, std::slice::from_ref(&target), problem, evaluation);
             let visibility = &*self.looks[k].visibility;
-            evaluator.evaluate(std::iter::once(Sight { frame: 0, state: &seen, visibility }))?;
+            evaluator.evaluate(std::iter::once(Sight { frame: 0, state: &seen, visibility, light: &self.looks[k].light }))?;
             self.proposed[k].clear();
             self.proposed[k].extend(evaluator.rows(0).data);
         }
@@ -186,7 +185,11 @@ impl Joint {
         let estimate = PoseEstimate {
             camera_from_object: self.steps.state.pose,
             appearance: self.steps.state.appearance.clone(),
-            covariance: covariance(&self.equations, self.steps.response(), solver),
+            covariance: covariance(
+                &self.equations,
+                self.steps.response().min(self.equations.unsaturated),
+                solver,
+            ),
             hessian: self.equations.pose_hessian(solver),
             rms: if self.equations.cost.is_finite() { self.equations.cost.max(0.0).sqrt() } else { 0.0 },
             iterations: self.steps.total,
@@ -210,7 +213,7 @@ impl NormalEquations {
         reset_matrix(&mut self.hessian, n, n);
         reset_matrix(&mut self.scatter, n, n);
         reset_vector(&mut self.gradient, n);
-        (self.triangles, self.displacement) = (0, Matrix6::zeros());
+        (self.triangles, self.displacement, self.unsaturated) = (0, Matrix6::zeros(), 1.0);
         (self.cost, self.weight) = total_cost(parts.clone().map(|p| (p.cost, p.weight)));
         for part in parts {
             self.hessian += &part.hessian;
@@ -219,6 +222,7 @@ impl NormalEquations {
             #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
             let triangles = part.triangles as f64;
             self.displacement += part.displacement * triangles;
+            self.unsaturated = self.unsaturated.min(part.unsaturated);
             self.triangles += part.triangles;
         }
         #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]

@@ -2,16 +2,12 @@
 
 use nalgebra::{DVector, Point3, Vector6};
 
-use super::Target;
-use super::derivative::Derivative;
 use super::evaluator::{End, Sight};
+use super::look::Look;
 use super::normal_equations::{LevelProblem, NormalEquations, Rows, cost};
-use super::robust::{Redescent, triangle_weights};
-use super::visibility::look_at;
+use super::robust::Redescent;
 use super::workspace::{Scratch, Solver, reset_vector};
 use crate::geometry::Pose;
-use crate::geometry::distance::rms_px;
-use crate::geometry::raster::ZBuffer;
 
 /// Largest damping before a descent gives up.
 const MAX_DAMPING: f64 = 1e8;
@@ -20,9 +16,6 @@ const MIN_RESPONSE: f64 = 0.3;
 /// Damping after a refused step at least: smaller ones hardly change the step.
 const NOTICEABLE_DAMPING: f64 = 0.1;
 
-/// What is visible is not judged anew where the corners of the object have moved by less (rms, pixels of full size).
-const SAME_VIEW_PX: f64 = 2.0;
-
 /// Choices that hold for all descents of a level.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Settings {
@@ -30,6 +23,9 @@ pub(super) struct Settings {
     pub(super) max_iterations: usize,
     /// Stop when a step moves the corners by less (rms, pixels of the level).
     pub(super) stop_px: f64,
+    /// Steps that move the corners by less (rms, pixels of the level) are taken whatever the cost says. The blur by sampling changes
+    /// with every fraction of a pixel, of which the derivative knows nothing, so that the cost rises and falls on the way.
+    pub(super) trusted_px: f64,
     pub(super) redescent: Option<Redescent>,
 }
 
@@ -65,6 +61,8 @@ pub(super) struct Steps {
     damping: f64,
     candidate: State,
     is_proposed: bool,
+    /// How far the last step moves the corners (rms, pixels of the level).
+    moved: f64,
     /// The last step: pose increment, then appearance.
     step: Vec<f64>,
     /// Gradient along the accepted steps of this level, before and after them.
@@ -121,6 +119,7 @@ impl Steps {
         self.candidate.appearance.clear();
         let appearance = self.state.appearance.iter().zip(step.iter().skip(6));
         self.candidate.appearance.extend(appearance.map(|(a, d)| a + d));
+        self.moved = moved;
         let is_small = moved < settings.stop_px;
         self.is_proposed = !is_small;
         if is_small {
@@ -151,10 +150,11 @@ impl Steps {
         self.is_proposed.then_some(&self.candidate)
     }
 
-    /// Goes to the proposed state if it lowers the cost, else damps more.
-    pub(super) fn judge(&mut self, is_lower: bool) {
+    /// Goes to the proposed state if it lowers the cost or is as near as the settings trust, else damps more. True if it went.
+    pub(super) fn judge(&mut self, is_lower: bool, settings: &Settings) -> bool {
         self.is_proposed = false;
-        if is_lower {
+        let is_taken = is_lower || self.moved < settings.trusted_px;
+        if is_taken {
             std::mem::swap(&mut self.state, &mut self.candidate);
             self.damping /= 10.0;
         } else {
@@ -163,53 +163,7 @@ impl Steps {
                 self.stop = Some(Stop::Exhausted);
             }
         }
-    }
-}
-
-/// What one camera says about a state.
-#[derive(Debug, Default)]
-pub(super) struct Look {
-    /// Sums at the state.
-    pub(super) rows: Vec<f64>,
-    /// Share of each triangle that nothing hides, as [`Self::see`] judged it last.
-    pub(super) visibility: Vec<f64>,
-    /// The pose at which it did, if it did in this frame.
-    seen_from: Option<Pose>,
-    pub(super) weights: Vec<f64>,
-    pub(super) equations: NormalEquations,
-}
-
-impl Look {
-    /// A new frame: nothing is known of what is visible.
-    pub(super) fn begin(&mut self) {
-        self.seen_from = None;
-    }
-
-    /// Judges what is visible at the pose where a level starts, unless it is where that was judged before.
-    pub(super) fn see(&mut self, target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer) {
-        let corners = &target.model.shape.corners;
-        let moved = |from: &Pose| rms_px(&target.camera, corners, from, pose);
-        if self.seen_from.as_ref().and_then(moved).is_some_and(|px| px < SAME_VIEW_PX) {
-            return;
-        }
-        look_at(target, pose, zbuffer, &mut self.visibility);
-        self.seen_from = Some(*pose);
-    }
-
-    /// Weights and equations at a state, whose sums and visibility are known.
-    pub(super) fn take(
-        &mut self,
-        problem: &LevelProblem<'_>,
-        settings: &Settings,
-        state: &State,
-        rows: Rows<'_>,
-        scratch: &mut Scratch,
-    ) {
-        self.rows.clear();
-        self.rows.extend(rows.data);
-        let Self { visibility, weights, equations, .. } = self;
-        triangle_weights(problem, &rows, visibility, settings.redescent, scratch, weights);
-        equations.assemble(problem, state, &rows, weights, Derivative::Template, scratch);
+        is_taken
     }
 }
 
@@ -226,7 +180,8 @@ impl Descent {
     /// Where the last level ended.
     pub(super) fn ended(&self) -> End<'_> {
         let (Steps { total, converged, .. }, equations) = (&self.steps, &self.look.equations);
-        let response = self.steps.response();
+        // What is saturated does not change with the pose.
+        let response = self.steps.response().min(equations.unsaturated);
         End { sight: self.here(), equations, iterations: *total, converged: *converged, response }
     }
 
@@ -241,7 +196,7 @@ impl Descent {
     }
 
     fn sight<'s>(&'s self, state: &'s State) -> Sight<'s> {
-        Sight { frame: self.frame, state, visibility: &self.look.visibility }
+        Sight { frame: self.frame, state, visibility: &self.look.visibility, light: &self.look.light }
     }
 
     /// Starts a level at the state, whose sums and visibility are known.
@@ -260,7 +215,7 @@ impl Descent {
         self.steps.propose(&self.look.equations, &problem.shape.centre, settings, solver);
     }
 
-    /// Accepts the proposed state if it lowers the cost with the same triangle weights.
+    /// Accepts the proposed state if it lowers the cost with the same triangle weights, or is near.
     pub(super) fn judge(
         &mut self,
         problem: &LevelProblem<'_>,
@@ -270,9 +225,7 @@ impl Descent {
     ) {
         let Some(state) = self.steps.proposed() else { return };
         let (cost, _) = cost(problem, &state.appearance, &rows, &self.look.weights, &mut scratch.solutions);
-        let is_lower = cost < self.look.equations.cost;
-        self.steps.judge(is_lower);
-        if is_lower {
+        if self.steps.judge(cost < self.look.equations.cost, settings) {
             let before = self.steps.along(&self.look.equations.gradient);
             self.look.take(problem, settings, &self.steps.state, rows, scratch);
             self.steps.learn(before, self.steps.along(&self.look.equations.gradient));

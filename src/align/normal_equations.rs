@@ -96,6 +96,8 @@ pub(super) struct NormalEquations {
     pub(super) cost: f64,
     /// Sum of the weights behind the cost.
     pub(super) weight: f64,
+    /// Share (0..1) of the pixels that the frame does not show saturated where the object would be brighter.
+    pub(super) unsaturated: f64,
     /// Mean of D^T D over the corners of the active triangles: d^T G d is the mean squared displacement in px.
     pub(super) displacement: Matrix6<f64>,
 }
@@ -110,6 +112,7 @@ impl Default for NormalEquations {
             triangles: 0,
             cost: 0.0,
             weight: 0.0,
+            unsaturated: 1.0,
             displacement: Matrix6::zeros(),
         }
     }
@@ -158,6 +161,7 @@ impl NormalEquations {
         self.scatter.fill_lower_triangle_with_upper_triangle();
         self.displacement = vertices.displacement();
         (self.cost, self.weight) = mean_cost(rows, s, solutions, &state.appearance);
+        self.unsaturated = unsaturated(level, rows, s);
     }
 
     /// Pose block of JtQJ after the appearance parameters are eliminated; zero where they are not determined.
@@ -258,6 +262,16 @@ fn mean_cost(rows: &Rows<'_>, s: &[f64], solutions: &[Solution], appearance: &[f
     let reduction: f64 = solutions.iter().map(Solution::reduction).sum();
     let prior = PRIOR_NOISE * PRIOR_NOISE * appearance.iter().map(|a| a * a).sum::<f64>();
     if weight > 0.0 { ((squares - reduction + prior) / weight, weight) } else { (f64::INFINITY, 0.0) }
+}
+
+/// Share of the pixels inside the image that count, by the triangles' weights.
+fn unsaturated(level: &LevelTemplate, rows: &Rows<'_>, s: &[f64]) -> f64 {
+    let (mut counted, mut all) = (0.0, 0.0);
+    for (t, s) in s.iter().enumerate().filter(|(_, s)| **s > 0.0) {
+        counted += s * rows.row(t).count();
+        all += s * rows.inside(level, t) * level.moments[t].count;
+    }
+    if all > 0.0 { (counted / all).clamp(0.0, 1.0) } else { 1.0 }
 }
 
 /// Root mean square residual of a triangle after its group's gain and bias, grey levels.

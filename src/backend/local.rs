@@ -3,6 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::TriangleWarp;
+use crate::model::curvature::{Curvature, MIXED_STEP, STRAIGHT_STEP};
 use crate::model::{Chart, LevelTemplate};
 
 /// The warp of one triangle in f32: (u, v, 1) relative to the chart's centre to the homogeneous image position
@@ -13,6 +14,10 @@ pub(super) struct LocalWarp {
     pub(super) rows: [[f32; 3]; 3],
     /// The base pixel, whole numbers.
     pub(super) base: [f32; 2],
+    /// [`TriangleWarp::blur`] for curvatures in their steps.
+    pub(super) blur: [[f32; 3]; 2],
+    /// [`TriangleWarp::light`].
+    pub(super) light: [f32; 2],
 }
 
 impl LocalWarp {
@@ -28,7 +33,10 @@ impl LocalWarp {
         #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
         let row = |i: usize| [0, 1, 2].map(|j| (h[(i, j)] - base[i] * h[(2, j)]) as f32);
         #[expect(clippy::cast_possible_truncation, reason = "whole numbers below the limit")]
-        Self { rows: [0, 1, 2].map(row), base: [base[0] as f32, base[1] as f32] }
+        let base = [base[0] as f32, base[1] as f32];
+        let steps = [STRAIGHT_STEP, MIXED_STEP, STRAIGHT_STEP];
+        let blur = warp.blur.map(|blur| [0, 1, 2].map(|k| blur[k] as f32 * steps[k]));
+        Self { rows: [0, 1, 2].map(row), base, blur, light: warp.light.map(|x| x as f32) }
     }
 }
 
@@ -49,6 +57,14 @@ pub(super) fn pack(position: [u16; 2], centre: Vector2<f64>) -> u32 {
     #[expect(clippy::cast_possible_truncation, reason = "the centre is in the middle of a u16 range")]
     let [u, v] = shifted.map(|x| u32::from((x as i16).cast_unsigned()));
     u | v << 16
+}
+
+/// A curvature as three signed numbers of steps: d2T/du2 in the lowest 11 bits, d2T/dv2 in the next 11, d2T/du dv in the upper 10.
+pub(super) fn pack_curvature([uu, uv, vv]: Curvature) -> u32 {
+    #[expect(clippy::cast_possible_truncation, reason = "whole numbers, as the model rounds them")]
+    let number = |x: f32, step: f32| ((x / step) as i32).cast_unsigned();
+    let straight = |x: f32| number(x, STRAIGHT_STEP) & 0x7ff;
+    straight(uu) | straight(vv) << 11 | number(uv, MIXED_STEP) << 22
 }
 
 /// Moves sums of x (u, v, 1), any number of such triples, from the chart's centre to its origin.

@@ -35,8 +35,35 @@ pub struct TriangleWarp {
     /// 3x3 from chart position (u, v, 1), relative to the chart's origin, to the homogeneous image position in the
     /// frame's level image.
     pub image_from_chart: Matrix3<f64>,
+    /// What sampling the frame bilinearly adds to the template at fractions f of a pixel: the sum over k = u, v of
+    /// (f_k (1 - f_k) - [`TEMPLATE_BLUR`]) `blur[k]` . (d2T/du2, d2T/du dv, d2T/dv2).
+    pub blur: [[f64; 3]; 2],
+    /// What a pixel would show if it were not saturated, as far as it is not in the template as it is rendered: `light[0]` T0 +
+    /// `light[1]`, grey levels.
+    pub light: [f64; 2],
     /// False leaves the triangle out: its sums are zero.
     pub active: bool,
+}
+
+/// Variance (square pixels) of the blur that a template has already: between that of a template of one image and the 1/6 of a mean
+/// of many that were sampled bilinearly.
+pub const TEMPLATE_BLUR: f64 = 1.0 / 12.0;
+/// Grey level from which on a pixel of the frame counts as saturated.
+pub const SATURATED: u8 = 254;
+
+impl TriangleWarp {
+    /// [`Self::light`] below every grey level: what is saturated stays as it is.
+    pub const UNKNOWN_LIGHT: [f64; 2] = [0.0, -1e6];
+
+    /// A warp into a frame that is compared with the template as it is.
+    pub fn plain(image_from_chart: Matrix3<f64>) -> Self {
+        Self { image_from_chart, blur: [[0.0; 3]; 2], light: Self::UNKNOWN_LIGHT, active: true }
+    }
+
+    /// A triangle that is left out.
+    pub fn idle() -> Self {
+        Self { active: false, ..Self::plain(Matrix3::zeros()) }
+    }
 }
 
 /// One call of the `accumulate` or `linearize` stage: many poses of one model against the current frame.

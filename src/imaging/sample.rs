@@ -2,31 +2,58 @@
 
 use image::GrayImage;
 
-/// Grey value at (u, v), bilinear; `None` where a needed pixel is outside (0 <= u < width-1, 0 <= v < height-1).
-pub fn bilinear(image: &GrayImage, u: f64, v: f64) -> Option<f64> {
-    bilinear_with_gradient(image, u, v).map(|(value, _)| value)
+/// The four pixels around a position.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patch {
+    /// Grey values: upper left, upper right, lower left, lower right.
+    pub values: [f64; 4],
+    /// Fractions (f_u, f_v) of the position, 0..1: how far it is from the upper left pixel.
+    pub fraction: [f64; 2],
 }
 
-/// [`bilinear`] and its derivative by u and v, grey levels per pixel: with values a b over c d and the fractions
-/// (fu, fv), du = (1 - fv)(b - a) + fv (d - c) and dv = (1 - fu)(c - a) + fu (d - b).
-pub fn bilinear_with_gradient(image: &GrayImage, u: f64, v: f64) -> Option<(f64, [f64; 2])> {
-    let (w, h) = image.dimensions();
-    let inside = u >= 0.0 && v >= 0.0 && u < f64::from(w) - 1.0 && v < f64::from(h) - 1.0;
-    inside.then(|| {
-        let (u0, v0) = (u.floor(), v.floor());
-        let (fu, fv) = (u - u0, v - v0);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "inside the image, checked above"
-        )]
-        let at = v0 as usize * w as usize + u0 as usize;
-        let data = image.as_raw();
-        let [a, b] = [f64::from(data[at]), f64::from(data[at + 1])];
-        let [c, d] = [f64::from(data[at + w as usize]), f64::from(data[at + w as usize + 1])];
+impl Patch {
+    /// The pixels around (u, v); `None` where one of them is outside (0 <= u < width-1, 0 <= v < height-1).
+    pub fn at(image: &GrayImage, u: f64, v: f64) -> Option<Self> {
+        let (w, h) = image.dimensions();
+        let inside = u >= 0.0 && v >= 0.0 && u < f64::from(w) - 1.0 && v < f64::from(h) - 1.0;
+        inside.then(|| {
+            let (u0, v0) = (u.floor(), v.floor());
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "inside the image, checked above"
+            )]
+            let at = v0 as usize * w as usize + u0 as usize;
+            let (data, w) = (image.as_raw(), w as usize);
+            let values = [at, at + 1, at + w, at + w + 1].map(|k| f64::from(data[k]));
+            Self { values, fraction: [u - u0, v - v0] }
+        })
+    }
+
+    /// Bilinear grey value.
+    pub fn value(&self) -> f64 {
+        let ([a, b, c, d], [fu, fv]) = (self.values, self.fraction);
         let (top, bottom) = (a + fu * (b - a), c + fu * (d - c));
-        (top + fv * (bottom - top), [(b - a) + fv * ((d - c) - (b - a)), bottom - top])
-    })
+        top + fv * (bottom - top)
+    }
+
+    /// Derivative of the value by u and v, grey levels per pixel: with values a b over c d du = (1 - fv)(b - a) + fv (d - c)
+    /// and dv = (1 - fu)(c - a) + fu (d - b).
+    pub fn gradient(&self) -> [f64; 2] {
+        let ([a, b, c, d], [fu, fv]) = (self.values, self.fraction);
+        let (top, bottom) = (a + fu * (b - a), c + fu * (d - c));
+        [(b - a) + fv * ((d - c) - (b - a)), bottom - top]
+    }
+
+    /// The largest of the four values.
+    pub fn brightest(&self) -> f64 {
+        self.values.into_iter().fold(0.0, f64::max)
+    }
+}
+
+/// Grey value at (u, v), bilinear; `None` where a needed pixel is outside (0 <= u < width-1, 0 <= v < height-1).
+pub fn bilinear(image: &GrayImage, u: f64, v: f64) -> Option<f64> {
+    Patch::at(image, u, v).map(|patch| patch.value())
 }
 
 #[cfg(test)]
@@ -52,7 +79,8 @@ mod tests {
         let h = 1e-6;
         for (u, v) in [(0.3, 0.6), (3.25, 2.5), (5.9, 4.1)] {
             let value = |u, v| bilinear(&image, u, v).expect("inside");
-            let (same, gradient) = bilinear_with_gradient(&image, u, v).expect("inside");
+            let patch = Patch::at(&image, u, v).expect("inside");
+            let (same, gradient) = (patch.value(), patch.gradient());
             let expected = [value(u + h, v) - value(u - h, v), value(u, v + h) - value(u, v - h)];
             assert!((same - value(u, v)).abs() < 1e-12, "({u}, {v}) gave {same}");
             for (g, e) in gradient.iter().zip(expected) {
@@ -65,7 +93,6 @@ mod tests {
     fn outside_is_none() {
         for (u, v) in [(-1e-9, 1.0), (7.0, 1.0), (1.0, 5.0), (f64::NAN, 1.0), (1.0, f64::NAN), (1e20, 0.0)] {
             assert!(bilinear(&ramp(), u, v).is_none(), "({u}, {v}) must be outside");
-            assert!(bilinear_with_gradient(&ramp(), u, v).is_none(), "({u}, {v}) must be outside");
         }
     }
 }

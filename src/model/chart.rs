@@ -48,6 +48,12 @@ pub struct ChartGeometry {
 }
 
 impl ChartGeometry {
+    /// Centroid of the triangle, chart position.
+    pub fn centroid(&self) -> Point2<f64> {
+        let [a, b, c] = self.corners.map(|p| p.coords);
+        Point2::from((a + b + c) / 3.0)
+    }
+
     /// Geometry of triangle `triangle` of `shape` seen at pyramid level `level` of `view`; `None` if the triangle
     /// is edge-on or behind that view.
     pub fn new(shape: &Shape, triangle: usize, view: &View, level: usize, origin: [u32; 2]) -> Option<Self> {

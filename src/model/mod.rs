@@ -2,6 +2,7 @@
 
 pub mod calibration;
 pub mod chart;
+pub mod curvature;
 pub mod file;
 pub mod groups;
 pub mod moments;

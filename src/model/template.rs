@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibration::Calibration;
 use super::chart::{Chart, ChartGeometry};
+use super::curvature::{Curvature, curvature};
 use super::groups::{Grouping, Groups};
 use super::moments::Moments;
 use super::shape::Shape;
@@ -73,6 +74,8 @@ impl Pixels {
 pub struct LevelTemplate {
     /// Pixels of all charts, sorted by triangle.
     pub pixels: Pixels,
+    /// Second differences of the mean intensity, one entry per pixel.
+    pub curvature: Vec<Curvature>,
     /// One chart per triangle of the shape.
     pub charts: Vec<Chart>,
     /// Geometry of every chart that has pixels.
@@ -119,7 +122,8 @@ impl LevelTemplate {
             .collect();
         let groups = |grouping| Groups::new(grouping, shape, &charts, &moments);
         let (by_face, by_triangle) = (groups(Grouping::FaceAndView), groups(Grouping::Triangle));
-        Ok(Self { pixels, charts, geometry, moments, by_face, by_triangle })
+        let curvature = curvature(&pixels, &charts);
+        Ok(Self { pixels, curvature, charts, geometry, moments, by_face, by_triangle })
     }
 
     /// The groups of the level.

@@ -4,6 +4,7 @@ use aam6d::backend::{ModelId, Request, TriangleWarp};
 use aam6d::geometry::mesh::{Faces, TriangleMesh};
 use aam6d::imaging::GrayImage;
 use aam6d::imaging::sample::bilinear;
+use aam6d::model::curvature::{Curvature, MIXED_STEP, STRAIGHT_STEP};
 use aam6d::model::{Calibration, Chart, Grouping, Groups, LevelTemplate, Model, Moments, Pixels, Shape};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -50,7 +51,8 @@ impl Scene {
             .collect();
         let appearance = (0..items * modes).map(|_| rng.random_range(-1.0..1.0)).collect();
         let pixels = template(&mut rng, &charts, modes, &warps, &image).rounded();
-        Self { model: model(pixels, charts), image, items, frames: Vec::new(), warps, appearance }
+        let curvature = curvature(&mut rng, pixels.len());
+        Self { model: model(pixels, curvature, charts), image, items, frames: Vec::new(), warps, appearance }
     }
 
     /// The request for all poses.
@@ -127,7 +129,12 @@ fn warp(rng: &mut ChaCha8Rng, item: usize, triangle: usize) -> TriangleWarp {
         13 => h[(1, 1)] = f64::NAN,
         _ => {}
     }
-    TriangleWarp { image_from_chart: h, active: kind != 15 }
+    let mut blur = [[0.0; 3]; 2];
+    if kind % 4 != 1 {
+        blur.as_flattened_mut().fill_with(|| rng.random_range(-0.6..0.6));
+    }
+    let light = if kind % 3 == 0 { [0.1, 30.0] } else { TriangleWarp::UNKNOWN_LIGHT };
+    TriangleWarp { image_from_chart: h, blur, light, active: kind != 15 }
 }
 
 /// Pixels that look like the image at pose 0, give or take a few grey levels.
@@ -157,8 +164,14 @@ fn template(
     pixels
 }
 
+/// Second differences of any sign, whole numbers of their steps.
+fn curvature(rng: &mut ChaCha8Rng, pixels: usize) -> Vec<Curvature> {
+    let steps = [STRAIGHT_STEP, MIXED_STEP, STRAIGHT_STEP];
+    (0..pixels).map(|_| steps.map(|step| step * f32::from(rng.random_range(-120..120_i8)))).collect()
+}
+
 /// A model around a template; its shape is a placeholder that no stage looks at.
-fn model(pixels: Pixels, charts: Vec<Chart>) -> Model {
+fn model(pixels: Pixels, curvature: Vec<Curvature>, charts: Vec<Chart>) -> Model {
     let mesh = TriangleMesh {
         vertices: vec![Point3::origin(), Point3::new(0.1, 0.0, 0.0), Point3::new(0.0, 0.1, 0.0)],
         triangles: vec![[0, 1, 2]; charts.len()],
@@ -169,7 +182,7 @@ fn model(pixels: Pixels, charts: Vec<Chart>) -> Model {
     let geometry = vec![None; charts.len()];
     let groups = Groups::new(Grouping::Triangle, &shape, &charts, &moments);
     let level =
-        LevelTemplate { pixels, charts, geometry, moments, by_face: groups.clone(), by_triangle: groups };
+        LevelTemplate { pixels, curvature, charts, geometry, moments, by_face: groups.clone(), by_triangle: groups };
     let calibration = Calibration::default();
     Model { object_id: 1, shape, views: Vec::new(), levels: vec![level], calibration }
 }

@@ -76,7 +76,7 @@ impl Scale {
         for start in (chart.start..chart.end).filter(|_| warp.active) {
             let mut row = zero.clone();
             let pixel = Chart { start, end: start + 1, ..*chart };
-            accumulate(&level.pixels, &pixel, warp, appearance, &scene.image, &mut row);
+            accumulate(level, &pixel, warp, appearance, &scene.image, &mut row);
             let residual = (SumsRow(&row).cost() / SumsRow(&row).weight()).sqrt();
             for (k, term) in row.iter().map(|x| x.abs()).enumerate() {
                 scale.terms[k] += term;

@@ -6,7 +6,7 @@ mod system;
 use nalgebra::{DVector, Matrix3, Point3, Vector6};
 
 use super::covariance::{from_reference_axes, hessian_of};
-use super::evaluator::{IDLE, check, levels_for_scores, narrow, score};
+use super::evaluator::{check, levels_for_scores, narrow, score};
 use super::levenberg_marquardt::State;
 use super::normal_equations::Rows;
 use super::visibility::visibility;
@@ -264,7 +264,7 @@ impl Pass<'_> {
     fn accumulate(&mut self, model: ModelId, step: &Step) -> Result<()> {
         let pose = step.motion.compose(&self.prepared.reference.view.camera_from_object);
         let warps: Vec<TriangleWarp> =
-            (0..self.level.charts.len()).map(|t| self.warp(&pose, t).unwrap_or(IDLE)).collect();
+            (0..self.level.charts.len()).map(|t| self.warp(&pose, t).unwrap_or_else(TriangleWarp::idle)).collect();
         let appearance: Vec<f32> = step.appearance.iter().copied().map(narrow).collect();
         let request = Request {
             model,
@@ -289,6 +289,6 @@ impl Pass<'_> {
         let a = affine(&geometry.corners, &corners)?;
         let mut image_from_chart = Matrix3::identity();
         image_from_chart.fixed_view_mut::<2, 3>(0, 0).copy_from(&a);
-        Some(TriangleWarp { image_from_chart, active: true })
+        Some(TriangleWarp::plain(image_from_chart))
     }
 }

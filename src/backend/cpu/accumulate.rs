@@ -3,32 +3,44 @@
 use image::GrayImage;
 use nalgebra::Vector3;
 
-use crate::backend::TriangleWarp;
-use crate::imaging::sample::bilinear;
-use crate::model::{Chart, Pixels};
+use crate::backend::{SATURATED, TEMPLATE_BLUR, TriangleWarp};
+use crate::imaging::sample::Patch;
+use crate::model::{Chart, LevelTemplate};
 
-/// Adds up the row of one triangle ([`crate::backend::Sums`] says what it holds); eqs. (3), (9), (10), (17).
+/// Adds up the row of one triangle ([`crate::backend::Sums`] says what it holds); eqs. (3), (9), (10), (17), with what sampling does to
+/// the template and with saturated pixels as they would be.
 pub fn accumulate(
-    pixels: &Pixels,
+    level: &LevelTemplate,
     chart: &Chart,
     warp: &TriangleWarp,
     appearance: &[f32],
     image: &GrayImage,
     row: &mut [f64],
 ) {
+    let pixels = &level.pixels;
     for p in chart.range() {
         let [u, v] = pixels.position[p].map(f64::from);
         let w = warp.image_from_chart * Vector3::new(u, v, 1.0);
         if w.z <= 0.0 {
             continue;
         }
-        let Some(value) = bilinear(image, w.x / w.z, w.y / w.z) else { continue };
+        let Some(patch) = Patch::at(image, w.x / w.z, w.y / w.z) else { continue };
         let intensity = f64::from(pixels.intensity[p]);
         let modes = pixels.modes.iter().zip(appearance);
-        let template =
+        let mut template =
             modes.fold(intensity, |sum, (mode, lambda)| sum + f64::from(*lambda) * f64::from(mode[p]));
-        let residual = template - value;
+        for (f, blur) in patch.fraction.into_iter().zip(&warp.blur) {
+            let second = blur.iter().zip(level.curvature[p]).map(|(b, c)| b * f64::from(c)).sum::<f64>();
+            template += (f * (1.0 - f) - TEMPLATE_BLUR) * second;
+        }
+        let mut value = patch.value();
         let q = f64::from(pixels.weight[p]);
+        let expected = template + warp.light[0] * intensity + warp.light[1];
+        let is_hidden = patch.brightest() >= f64::from(SATURATED) && expected > value;
+        if is_hidden {
+            value = expected;
+        }
+        let residual = template - value;
         let qr = q * residual;
         let [gu, gv] = pixels.gradient[p].map(f64::from);
         let terms = [
@@ -40,7 +52,7 @@ pub fn accumulate(
             qr * gv,
             qr * residual,
             q,
-            1.0,
+            if is_hidden && q > 0.0 { 0.0 } else { 1.0 },
             qr * intensity,
             qr,
         ];

@@ -5,7 +5,7 @@ use image::GrayImage;
 use nalgebra::Vector3;
 
 use crate::backend::TriangleWarp;
-use crate::imaging::sample::bilinear_with_gradient;
+use crate::imaging::sample::Patch;
 use crate::model::{Chart, Pixels};
 
 /// Adds up the two rows of one triangle ([`crate::backend::Linearization`] says what they hold).
@@ -23,7 +23,8 @@ pub fn linearize(
         if w.z <= 0.0 {
             continue;
         }
-        let Some((value, [hu, hv])) = bilinear_with_gradient(image, w.x / w.z, w.y / w.z) else { continue };
+        let Some(patch) = Patch::at(image, w.x / w.z, w.y / w.z) else { continue };
+        let (value, [hu, hv]) = (patch.value(), patch.gradient());
         let intensity = f64::from(pixels.intensity[p]);
         let modes = pixels.modes.iter().zip(appearance);
         let template =

@@ -273,7 +273,7 @@ fn accumulate_twin(level: &LevelTemplate, request: &Request<'_>, image: &GrayIma
         let (item, triangle) = (i / triangles, i % triangles);
         let appearance = &request.appearance[item * modes..][..modes];
         if warp.active {
-            accumulate::accumulate(&level.pixels, &level.charts[triangle], warp, appearance, image, row);
+            accumulate::accumulate(level, &level.charts[triangle], warp, appearance, image, row);
         }
     });
 }

@@ -57,7 +57,7 @@ impl Warp {
         if !warp.active {
             return Self::zeroed();
         }
-        let LocalWarp { rows, base } = LocalWarp::new(warp, centre);
+        let LocalWarp { rows, base, .. } = LocalWarp::new(warp, centre);
         let row = |i: usize, last: f32| [rows[i][0], rows[i][1], rows[i][2], last];
         Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0 + f32::from(frame)) }
     }

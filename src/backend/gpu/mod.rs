@@ -19,7 +19,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use image::GrayImage;
-use nalgebra::Matrix3;
 use wgpu::{BindGroupLayout, ComputePipeline};
 
 use super::{
@@ -147,7 +146,7 @@ impl GpuBackend {
     fn warm_up(&mut self, level: &LoadedLevel) -> Result<()> {
         let mut frames = self.new_frames(((16, 16), 1), 2)?;
         frames.upload(&self.context, &[&GrayImage::new(16, 16)])?;
-        let idle = TriangleWarp { image_from_chart: Matrix3::zeros(), active: false };
+        let idle = TriangleWarp::idle();
         let (warps, appearance) = (vec![idle; level.level.centres.len()], vec![0.0; level.level.modes]);
         let model = ModelId(self.models.len());
         let (warps, appearance) = (&*warps, &*appearance);

@@ -75,11 +75,10 @@ impl Workload {
 
     /// Warps of all triangles of the full size at the true pose of the first frame.
     pub(super) fn warps(&self, model: &Model) -> Vec<TriangleWarp> {
-        let warp = |g: &Option<crate::model::ChartGeometry>| TriangleWarp {
-            image_from_chart: g.as_ref().map_or_else(nalgebra::Matrix3::zeros, |g| {
-                homography(&self.camera, &self.poses[0], &g.object_from_chart)
-            }),
-            active: g.is_some(),
+        let warp = |g: &Option<crate::model::ChartGeometry>| {
+            g.as_ref().map_or_else(TriangleWarp::idle, |g| {
+                TriangleWarp::plain(homography(&self.camera, &self.poses[0], &g.object_from_chart))
+            })
         };
         model.levels[0].geometry.iter().map(warp).collect()
     }

@@ -2,12 +2,16 @@
 
 use image::GrayImage;
 
+use crate::backend::SATURATED;
+
 /// Rows of vertical pairs: pixel (x, y) is followed by pixel (x, y + 1), so that one load of 4 bytes brings all that
 /// bilinear sampling needs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Pairs {
     pub(super) width: u32,
     pub(super) height: u32,
+    /// Is any pixel saturated?
+    pub(super) is_saturated: bool,
     bytes: Vec<u8>,
 }
 
@@ -15,6 +19,7 @@ impl Pairs {
     /// Takes over an image. Keeps its memory.
     pub(crate) fn fill(&mut self, image: &GrayImage) {
         (self.width, self.height) = image.dimensions();
+        self.is_saturated = image.iter().any(|value| *value >= SATURATED);
         let stride = self.width as usize;
         let (upper, rest) = (image.as_raw().as_slice(), stride.min(image.as_raw().len()));
         let lower = &upper[rest..];

@@ -3,8 +3,8 @@
 use nalgebra::Vector2;
 
 use super::BLOCK;
-use crate::backend::local::{centre, pack};
-use crate::model::{LevelTemplate, Pixels};
+use crate::backend::local::{self, centre, pack};
+use crate::model::LevelTemplate;
 
 /// Pixels per vector at most: blocks are padded to whole vectors of every width.
 const WIDEST: usize = 16;
@@ -18,6 +18,7 @@ pub(crate) struct FastLevel {
     /// Number of modes l.
     pub(crate) modes: usize,
     positions: Vec<i32>,
+    curvatures: Vec<i32>,
     columns: Vec<f32>,
 }
 
@@ -50,6 +51,8 @@ pub(super) struct Block<'a> {
     pub(super) pixels: usize,
     /// Signed u in the low, v in the high half, relative to the chart's centre.
     pub(super) positions: &'a [i32],
+    /// Second differences of T0, see [`local::pack_curvature`].
+    pub(super) curvatures: &'a [i32],
     /// g_u, g_v, T0, q, each as long as the positions.
     pub(super) texels: [&'a [f32]; COLUMNS],
     /// T1..Tl, one after the other, each as long as the positions.
@@ -64,6 +67,7 @@ impl FastLevel {
             triangles: Vec::with_capacity(template.charts.len()),
             modes,
             positions: Vec::new(),
+            curvatures: Vec::new(),
             columns: Vec::new(),
         };
         for chart in &template.charts {
@@ -78,16 +82,19 @@ impl FastLevel {
             });
             for first in chart.range().step_by(BLOCK) {
                 let range = first..(first + BLOCK).min(chart.end as usize);
-                level.push_block(&template.pixels, range, centre);
+                level.push_block(template, range, centre);
             }
         }
         level
     }
 
-    fn push_block(&mut self, pixels: &Pixels, range: std::ops::Range<usize>, centre: Vector2<f64>) {
+    fn push_block(&mut self, template: &LevelTemplate, range: std::ops::Range<usize>, centre: Vector2<f64>) {
+        let pixels = &template.pixels;
         let padding = range.len().next_multiple_of(WIDEST) - range.len();
         let packed = pixels.position[range.clone()].iter().map(|p| pack(*p, centre).cast_signed());
         self.positions.extend(packed.chain(std::iter::repeat_n(0, padding)));
+        let curvatures = template.curvature[range.clone()].iter().map(|c| local::pack_curvature(*c).cast_signed());
+        self.curvatures.extend(curvatures.chain(std::iter::repeat_n(0, padding)));
         let gradient = &pixels.gradient[range.clone()];
         let mut push = |column: &mut dyn Iterator<Item = f32>| {
             self.columns.extend(column.chain(std::iter::repeat_n(0.0, padding)));
@@ -108,7 +115,7 @@ impl FastLevel {
             let columns = &self.columns[at * (COLUMNS + self.modes)..][..n * (COLUMNS + self.modes)];
             let (texels, modes) = columns.split_at(COLUMNS * n);
             let texels = [0, 1, 2, 3].map(|k| &texels[k * n..][..n]);
-            Block { pixels, positions: &self.positions[at..][..n], texels, modes }
+            Block { pixels, positions: &self.positions[at..][..n], curvatures: &self.curvatures[at..][..n], texels, modes }
         })
     }
 
@@ -119,7 +126,7 @@ impl FastLevel {
 
     /// Bytes that one pass over the level reads.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(self.positions.as_slice()) + size_of_val(self.columns.as_slice())
+        size_of_val(self.positions.as_slice()) + size_of_val(self.curvatures.as_slice()) + size_of_val(self.columns.as_slice())
     }
 }
 

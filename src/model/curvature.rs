@@ -1,0 +1,74 @@
+//! Second differences of the template: what bilinear sampling of a frame takes from it.
+
+use super::chart::Chart;
+use super::template::Pixels;
+
+/// Step of d2T/du2 and d2T/dv2, grey levels per pixel squared: 11 bits with sign hold what bytes can differ by.
+pub const STRAIGHT_STEP: f32 = 0.5;
+/// Step of d2T/du dv, grey levels per pixel squared: 10 bits with sign.
+pub const MIXED_STEP: f32 = 0.25;
+
+/// d2T/du2, d2T/du dv, d2T/dv2 of T0 at a pixel, grey levels per pixel squared, whole numbers of their steps.
+pub type Curvature = [f32; 3];
+
+/// The curvature at every pixel, from the pixels around it in its view; 0 where one of them is not in the template.
+pub fn curvature(pixels: &Pixels, charts: &[Chart]) -> Vec<Curvature> {
+    let views = charts.iter().map(|c| c.view).max().map_or(0, |last| last + 1);
+    let mut all = vec![[0.0; 3]; pixels.len()];
+    for view in 0..views {
+        let charts: Vec<&Chart> = charts.iter().filter(|c| c.view == view && !c.is_empty()).collect();
+        let map = Map::new(pixels, &charts);
+        for chart in charts {
+            for p in chart.range() {
+                all[p] = map.curvature(place(pixels, chart, p));
+            }
+        }
+    }
+    all
+}
+
+/// Position of a pixel in its view.
+fn place(pixels: &Pixels, chart: &Chart, p: usize) -> [usize; 2] {
+    [0, 1].map(|k| chart.origin[k] as usize + usize::from(pixels.position[p][k]))
+}
+
+/// The template as an image, with a border of one pixel.
+struct Map {
+    first: [usize; 2],
+    width: usize,
+    /// NaN where there is no pixel.
+    values: Vec<f32>,
+}
+
+impl Map {
+    fn new(pixels: &Pixels, charts: &[&Chart]) -> Self {
+        let places = || charts.iter().flat_map(|c| c.range().map(|p| (place(pixels, c, p), p)));
+        let (lo, hi) = places().fold(([usize::MAX; 2], [0; 2]), |(lo, hi), (at, _)| {
+            ([0, 1].map(|k| at[k].min(lo[k])), [0, 1].map(|k| at[k].max(hi[k])))
+        });
+        let [width, height] = [0, 1].map(|k| (hi[k] + 3).saturating_sub(lo[k]));
+        let mut map = Self { first: lo, width, values: vec![f32::NAN; width * height] };
+        for (at, p) in places() {
+            let index = map.index(at);
+            map.values[index] = pixels.intensity[p];
+        }
+        map
+    }
+
+    fn index(&self, at: [usize; 2]) -> usize {
+        (at[1] - self.first[1] + 1) * self.width + at[0] - self.first[0] + 1
+    }
+
+    fn curvature(&self, at: [usize; 2]) -> Curvature {
+        let (here, w) = (self.index(at), self.width);
+        let value = |index: usize| self.values[index];
+        let second = |along: usize| value(here + along) + value(here - along) - 2.0 * value(here);
+        let mixed = value(here + w + 1) + value(here - w - 1) - value(here + w - 1) - value(here - w + 1);
+        let rounded = |x: f32, step: f32| if x.is_nan() { 0.0 } else { (x / step).round() * step };
+        [
+            rounded(second(1), STRAIGHT_STEP),
+            rounded(mixed / 4.0, MIXED_STEP),
+            rounded(second(w), STRAIGHT_STEP),
+        ]
+    }
+}
