@@ -35,7 +35,7 @@ fn texel_of(pixel: vec4u) -> vec4f {
 
 /// Four modes of a pixel.
 fn modes_at(plane: u32, p: u32) -> vec4f {
-    let packed = packed_modes_at(plane * level.pixels + p);
+    let packed = packed_modes_at(plane, p);
     return SIGNED_STEP * vec4f(halves(packed.x), halves(packed.y));
 }
 

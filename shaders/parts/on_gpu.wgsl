@@ -20,8 +20,8 @@ fn pixel_at(i: u32) -> vec4u {
     return pixels[i];
 }
 
-fn packed_modes_at(i: u32) -> vec2u {
-    return modes[i];
+fn packed_modes_at(plane: u32, p: u32) -> vec2u {
+    return modes[plane * level.pixels + p];
 }
 
 fn warp_at(i: u32) -> Warp {

@@ -26,8 +26,10 @@ fn pixel_at(i: u32) -> vec4u {
     return textureLoad(pixels, place(i), 0);
 }
 
-fn packed_modes_at(i: u32) -> vec2u {
-    return textureLoad(modes, place(i), 0).xy;
+/// A texel holds two planes. The compiler sees that two reads of it are one.
+fn packed_modes_at(plane: u32, p: u32) -> vec2u {
+    let both = textureLoad(modes, place((plane / 2u) * level.pixels + p), 0);
+    return select(both.xy, both.zw, plane % 2u == 1u);
 }
 
 fn warp_vector(i: u32) -> vec4f {

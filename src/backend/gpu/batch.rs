@@ -14,7 +14,7 @@ use super::context::Context;
 use super::readback::Readback;
 use super::rows::{MANY, PER_THREAD};
 use super::shaders::{AdapterClass, Stage};
-use super::table::{Table, Unit, most_bytes};
+use super::table::{Table, most_bytes};
 use crate::backend::{Request, TriangleWarp};
 use crate::error::Result;
 
@@ -205,8 +205,7 @@ impl Batch {
         let bytes = |k: usize, limit: u64| needed[k].next_power_of_two().max(old[k]).min(limit);
         let bound = context.scoped("creating the pose buffers", || -> Result<_> {
             let table = |k: usize, label: &str| {
-                let most = most_bytes(context, class, Unit::FourWords);
-                Table::new(context, class, (label, Unit::FourWords), bytes(k, most))
+                Table::new(context, class, label, bytes(k, most_bytes(context, class)))
             };
             let (warps, appearance) = (table(0, "warps")?, table(1, "appearance")?);
             let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;

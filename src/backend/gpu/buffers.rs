@@ -5,8 +5,8 @@ use nalgebra::Vector2;
 use wgpu::{BindingResource, Buffer, BufferUsages};
 
 use super::context::Context;
-use super::shaders::Partition;
-use super::table::{Table, Unit};
+use super::shaders::{AdapterClass, Partition};
+use super::table::Table;
 use crate::backend::TriangleWarp;
 use crate::backend::local::{self, LocalWarp};
 use crate::error::Result;
@@ -124,18 +124,22 @@ impl DeviceLevel {
             unused: 0,
         };
         let packed = packed_pixels(template, &centres);
+        let modes = match partition.class {
+            AdapterClass::Gpu => packed_modes::<2>(pixels),
+            AdapterClass::Software => packed_modes::<4>(pixels),
+        };
         let (constants, tables) = context.scoped("uploading the template", || -> Result<_> {
             let constants = context.buffer("level", size_of::<Level>() as u64, BufferUsages::UNIFORM);
             context.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&level));
-            let table = |label, unit, bytes: &[u8]| {
-                let table = Table::new(context, partition.class, (label, unit), bytes.len() as u64)?;
+            let table = |label, bytes: &[u8]| {
+                let table = Table::new(context, partition.class, label, bytes.len() as u64)?;
                 table.write(context, bytes);
                 Ok(table)
             };
             let tables = [
-                table("template table chunks", Unit::FourWords, bytemuck::cast_slice(&chunks))?,
-                table("template table pixels", Unit::FourWords, bytemuck::cast_slice(&packed))?,
-                table("template table modes", Unit::TwoWords, bytemuck::cast_slice(&mode_planes(pixels)))?,
+                table("template table chunks", bytemuck::cast_slice(&chunks))?,
+                table("template table pixels", bytemuck::cast_slice(&packed))?,
+                table("template table modes", bytemuck::cast_slice(&modes))?,
             ];
             Ok((constants, tables))
         })??;
@@ -183,13 +187,14 @@ fn packed_pixels(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<[u32
     packed
 }
 
-/// Four modes to a plane, two to a word; missing modes are zero.
-fn mode_planes(pixels: &Pixels) -> Vec<[u32; 2]> {
-    let plane = |four: &'_ [Vec<f32>], p: usize| {
-        let mode = |k: usize| four.get(k).map_or(0, |mode| signed(mode[p]));
-        [pair(mode(0), mode(1)), pair(mode(2), mode(3))]
+/// Two modes to a word, `WORDS` words to a pixel, plane after plane of pixels; missing modes are zero.
+fn packed_modes<const WORDS: usize>(pixels: &Pixels) -> Vec<u32> {
+    let record = |modes: &'_ [Vec<f32>], p: usize| {
+        let mode = |k: usize| modes.get(k).map_or(0, |mode| signed(mode[p]));
+        std::array::from_fn::<_, WORDS, _>(|word| pair(mode(2 * word), mode(2 * word + 1)))
     };
-    pixels.modes.chunks(4).flat_map(|four| (0..pixels.len()).map(move |p| plane(four, p))).collect()
+    let planes = pixels.modes.chunks(2 * WORDS);
+    planes.flat_map(|modes| (0..pixels.len()).flat_map(move |p| record(modes, p))).collect()
 }
 
 /// The first in the low, the second in the high half.

@@ -36,7 +36,6 @@ use frame::Frames;
 use readback::Readback;
 use scan::Scanner;
 use shaders::{ACCUMULATE, DOWNSAMPLE, LINEARIZE, Partition, Stage, accumulate_planes, linearize_planes};
-use table::Unit;
 
 pub use adapter::{AdapterSelection, AdapterSummary, adapters};
 pub use options::{GpuOptions, PyramidPlace};
@@ -128,7 +127,7 @@ impl GpuBackend {
 
     /// Largest buffer or table of a dispatch, bytes.
     fn limit(&self) -> u64 {
-        let most = table::most_bytes(&self.context, self.partition.class, Unit::FourWords);
+        let most = table::most_bytes(&self.context, self.partition.class);
         self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(most)
     }
 
