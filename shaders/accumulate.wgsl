@@ -1,5 +1,5 @@
 // Stage `accumulate`: warp, sample, residual, weight and sum over one chunk of a chart; eqs. (3), (9), (10), (17).
-// Twin: `src/backend/cpu/accumulate.rs`. Bindings and reduction: `shaders/parts/chart_sums.wgsl`.
+// Twin: `src/backend/cpu/accumulate.rs`. Bindings and reduction: `shaders/parts/`.
 
 /// Planes of sums: the row of `backend::Sums` with its first 11 numbers padded to 12, then the modes.
 const SUM_PLANES: u32 = 3u + MODE_PLANES;
@@ -20,16 +20,16 @@ fn accumulate(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let index = group.x + group.z * groups.x;
-    let chunk = chunks[min(index, level.chunks - 1u)];
-    let warp = warps[group.y * level.triangles + chunk.triangle];
+    let chunk = chunk_at(min(index, level.chunks - 1u));
+    let warp = warp_at(group.y * level.triangles + chunk.triangle);
     let base = vec2f(warp.row_u.w, warp.row_v.w);
     let size = vec2f(textureDimensions(image));
     let frame = u32(max(warp.row_w.w - 1.0, 0.0));
     var lambda: array<vec4f, MODES>;
     for (var k = 0u; k < MODE_PLANES; k++) {
-        lambda[k] = appearance[group.y * MODE_PLANES + k];
+        lambda[k] = appearance_at(group.y * MODE_PLANES + k);
     }
-    // Nothing returns early: all invocations meet at the barrier.
+    // Nothing returns early: all invocations meet at the barrier that a real GPU has.
     let end = select(chunk.start, chunk.end, index < level.chunks && warp.row_w.w > 0.0);
 
     var slope_u = vec4f();
@@ -37,14 +37,15 @@ fn accumulate(
     var gains = vec4f();
     var projections: array<vec4f, MODES>;
     for (var p = chunk.start + lane; p < end; p += WORKGROUP) {
-        let at = vec3f(halves(positions[p]), 1.0);
+        let packed = pixel_at(p);
+        let at = vec3f(position_of(packed), 1.0);
         let depth = dot(warp.row_w.xyz, at);
         let local = vec2f(dot(warp.row_u.xyz, at), dot(warp.row_v.xyz, at)) / depth;
         let corner = floor(local);
         let pixel = corner + base;
         // A positive range test, so that NaN is outside.
         if (depth > 0.0 && all(pixel >= vec2f()) && all(pixel < size - 1.0)) {
-            let texel = texel_at(p);
+            let texel = texel_of(packed);
             var residual = texel.z - bilinear(pixel, local - corner, size, frame);
             var mode: array<vec4f, MODES>;
             for (var k = 0u; k < MODE_PLANES; k++) {
@@ -63,12 +64,15 @@ fn accumulate(
         }
     }
 
-    let mine = lane * SUM_PLANES;
-    partial[mine] = slope_u;
-    partial[mine + 1u] = slope_v;
-    partial[mine + 2u] = gains;
-    for (var k = 0u; k < MODE_PLANES; k++) {
-        partial[mine + 3u + k] = projections[k];
+    let row = group.y * level.chunks + index;
+    if (index < level.chunks) {
+        let mine = first_plane(lane, row);
+        put(mine, slope_u);
+        put(mine + 1u, slope_v);
+        put(mine + 2u, gains);
+        for (var k = 0u; k < MODE_PLANES; k++) {
+            put(mine + 3u + k, projections[k]);
+        }
     }
-    reduce(lane, (group.y * level.chunks + index) * SUM_PLANES, index < level.chunks);
+    finish(lane, row, index < level.chunks);
 }

@@ -3,9 +3,6 @@
 /// Invocations per workgroup. The host sets it for the adapter.
 override WORKGROUP: u32 = 8u;
 
-/// Invocations whose sums one invocation adds up in the first step of a reduction.
-const REDUCE: u32 = 8u;
-
 /// One level of a template.
 struct Level {
     /// Number of chart pixels.

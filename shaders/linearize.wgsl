@@ -1,6 +1,6 @@
 // Stage `linearize`: as `accumulate`, with the gradient of the frame at the warped position in place of the template's,
 // and with the second-order sums of a Gauss-Newton step. Twin: `src/backend/cpu/linearize.rs`. Bindings and
-// reduction: `shaders/parts/chart_sums.wgsl`.
+// reduction: `shaders/parts/`.
 
 /// Planes of sums: those of `accumulate`, the second-order row of `backend::Linearization` with its first 30 numbers
 /// padded to 32, then six planes per plane of modes.
@@ -26,16 +26,16 @@ fn linearize(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let index = group.x + group.z * groups.x;
-    let chunk = chunks[min(index, level.chunks - 1u)];
-    let warp = warps[group.y * level.triangles + chunk.triangle];
+    let chunk = chunk_at(min(index, level.chunks - 1u));
+    let warp = warp_at(group.y * level.triangles + chunk.triangle);
     let base = vec2f(warp.row_u.w, warp.row_v.w);
     let size = vec2f(textureDimensions(image));
     let frame = u32(max(warp.row_w.w - 1.0, 0.0));
     var lambda: array<vec4f, MODES>;
     for (var k = 0u; k < MODE_PLANES; k++) {
-        lambda[k] = appearance[group.y * MODE_PLANES + k];
+        lambda[k] = appearance_at(group.y * MODE_PLANES + k);
     }
-    // Nothing returns early: all invocations meet at the barrier.
+    // Nothing returns early: all invocations meet at the barrier that a real GPU has.
     let end = select(chunk.start, chunk.end, index < level.chunks && warp.row_w.w > 0.0);
 
     var first: array<vec4f, 3>;
@@ -43,14 +43,15 @@ fn linearize(
     var projections: array<vec4f, MODES>;
     var couplings: array<vec4f, COUPLINGS>;
     for (var p = chunk.start + lane; p < end; p += WORKGROUP) {
-        let at = vec3f(halves(positions[p]), 1.0);
+        let packed = pixel_at(p);
+        let at = vec3f(position_of(packed), 1.0);
         let depth = dot(warp.row_w.xyz, at);
         let local = vec2f(dot(warp.row_u.xyz, at), dot(warp.row_v.xyz, at)) / depth;
         let corner = floor(local);
         let pixel = corner + base;
         // A positive range test, so that NaN is outside.
         if (depth > 0.0 && all(pixel >= vec2f()) && all(pixel < size - 1.0)) {
-            let texel = texel_at(p);
+            let texel = texel_of(packed);
             let sample = bilinear_with_gradient(pixel, local - corner, size, frame);
             var residual = texel.z - sample.x;
             var mode: array<vec4f, MODES>;
@@ -91,18 +92,21 @@ fn linearize(
         }
     }
 
-    let mine = lane * SUM_PLANES;
-    for (var k = 0u; k < 3u; k++) {
-        partial[mine + k] = first[k];
+    let row = group.y * level.chunks + index;
+    if (index < level.chunks) {
+        let mine = first_plane(lane, row);
+        for (var k = 0u; k < 3u; k++) {
+            put(mine + k, first[k]);
+        }
+        for (var k = 0u; k < MODE_PLANES; k++) {
+            put(mine + 3u + k, projections[k]);
+        }
+        for (var k = 0u; k < 8u; k++) {
+            put(mine + 3u + MODE_PLANES + k, second[k]);
+        }
+        for (var k = 0u; k < 6u * MODE_PLANES; k++) {
+            put(mine + 11u + MODE_PLANES + k, couplings[k]);
+        }
     }
-    for (var k = 0u; k < MODE_PLANES; k++) {
-        partial[mine + 3u + k] = projections[k];
-    }
-    for (var k = 0u; k < 8u; k++) {
-        partial[mine + 3u + MODE_PLANES + k] = second[k];
-    }
-    for (var k = 0u; k < 6u * MODE_PLANES; k++) {
-        partial[mine + 11u + MODE_PLANES + k] = couplings[k];
-    }
-    reduce(lane, (group.y * level.chunks + index) * SUM_PLANES, index < level.chunks);
+    finish(lane, row, index < level.chunks);
 }

@@ -5,19 +5,24 @@ use std::mem::offset_of;
 
 use aam6d::backend::gpu::buffers::{Chunk, Halving, Level, Scan, Warp};
 use aam6d::backend::gpu::shaders::{
-    ACCUMULATE, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, SCAN, Stage, WORKGROUP_BYTES,
-    accumulate_planes, linearize_planes,
+    ACCUMULATE, AdapterClass, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, SCAN, Stage, TABLE_WIDTH,
+    WORKGROUP_BYTES, accumulate_planes, linearize_planes,
 };
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{AddressSpace, Expression, Literal, Module, StorageAccess, TypeInner};
+use naga::{AddressSpace, Expression, ImageClass, Literal, Module, ScalarKind, StorageAccess, TypeInner};
 
 const STAGES: [Stage; 4] = [DOWNSAMPLE, ACCUMULATE, LINEARIZE, SCAN];
+const CLASSES: [AdapterClass; 2] = [AdapterClass::Gpu, AdapterClass::Software];
 /// A stage and its planes of sums by mode planes.
 type ChartStage = (Stage, fn(u32) -> u32);
 
 /// The stages that add up chunks of charts, and how many planes of sums the host thinks they have.
 const CHART_STAGES: [ChartStage; 2] = [(ACCUMULATE, accumulate_planes), (LINEARIZE, linearize_planes)];
 const MODE_PLANES: [u32; 6] = [0, 1, 2, 3, 4, 16];
+
+fn variants() -> impl Iterator<Item = (AdapterClass, u32)> {
+    CLASSES.into_iter().flat_map(|class| MODE_PLANES.map(|mode_planes| (class, mode_planes)))
+}
 
 fn parse(text: &str) -> Module {
     let module = naga::front::wgsl::parse_str(text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(text)));
@@ -30,8 +35,8 @@ fn parse(text: &str) -> Module {
 }
 
 /// The module with the pipeline constant set.
-fn with_workgroup(stage: &Stage, mode_planes: u32, workgroup: u32) -> Module {
-    let text = stage.text(mode_planes);
+fn with_workgroup(stage: &Stage, partition: Partition, mode_planes: u32, workgroup: u32) -> Module {
+    let text = stage.text(partition.class, mode_planes);
     let constant =
         text.replace("override WORKGROUP: u32 = 8u;", &format!("const WORKGROUP: u32 = {workgroup}u;"));
     assert_ne!(text, constant, "{}: WORKGROUP is not where it was", stage.name);
@@ -41,8 +46,8 @@ fn with_workgroup(stage: &Stage, mode_planes: u32, workgroup: u32) -> Module {
 #[test]
 fn shaders_validate_and_are_named_after_their_stage() {
     for stage in STAGES {
-        for mode_planes in MODE_PLANES {
-            let module = parse(&stage.text(mode_planes));
+        for (class, mode_planes) in variants() {
+            let module = parse(&stage.text(class, mode_planes));
             let entries: Vec<_> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
             assert_eq!(entries, [stage.name], "one entry point, named as the stage");
         }
@@ -92,7 +97,7 @@ fn host_layouts() -> Vec<(&'static str, Layout)> {
 
 #[test]
 fn structs_have_the_same_fields_on_both_sides() {
-    let module = parse(&ACCUMULATE.text(1));
+    let module = parse(&ACCUMULATE.text(AdapterClass::Gpu, 1));
     for (name, host) in host_layouts() {
         assert_eq!(host, device_layout(&module, name), "{name}: host and device");
     }
@@ -102,7 +107,7 @@ fn structs_have_the_same_fields_on_both_sides() {
 
 #[test]
 fn a_changed_struct_is_noticed() {
-    let changed = ACCUMULATE.text(1).replace("row_u: vec4f", "row_u: vec3f");
+    let changed = ACCUMULATE.text(AdapterClass::Gpu, 1).replace("row_u: vec4f", "row_u: vec3f");
     let layout =
         device_layout(&parse(&changed.replace("warp.row_u.w", "0.0").replace("row_u.xyz", "row_u")), "Warp");
     let (_, host) = host_layouts().remove(2);
@@ -115,14 +120,22 @@ fn kind(module: &Module, variable: &naga::GlobalVariable) -> Kind {
         (AddressSpace::Storage { access }, _) if access.contains(StorageAccess::STORE) => Kind::Write,
         (AddressSpace::Storage { .. }, _) => Kind::Read,
         (_, TypeInner::Sampler { .. }) => Kind::Sampler,
+        (_, TypeInner::Image { class: ImageClass::Sampled { kind: ScalarKind::Uint, .. }, .. }) => {
+            Kind::Table
+        }
         _ => Kind::Image,
     }
 }
 
+/// As what a shader declares it.
+fn seen(kind: Kind, class: AdapterClass) -> Kind {
+    if (kind, class) == (Kind::Table, AdapterClass::Gpu) { Kind::Read } else { kind }
+}
+
 #[test]
 fn bindings_are_the_ones_the_host_makes() {
-    for stage in STAGES {
-        let module = parse(&stage.text(1));
+    for (stage, class) in STAGES.into_iter().flat_map(|stage| CLASSES.map(|class| (stage, class))) {
+        let module = parse(&stage.text(class, 1));
         let device: BTreeMap<_, _> = module
             .global_variables
             .iter()
@@ -130,17 +143,18 @@ fn bindings_are_the_ones_the_host_makes() {
             .map(|(b, v)| ((b.group, b.binding), (v.name.clone().unwrap_or_default(), kind(&module, v))))
             .collect();
         let of_group = |(group, bindings): (u32, &&[(&str, Kind)])| {
-            let named =
-                (0..).zip(*bindings).map(move |(b, (name, kind))| ((group, b), ((*name).to_owned(), *kind)));
+            let named = (0..)
+                .zip(*bindings)
+                .map(move |(b, (name, kind))| ((group, b), ((*name).to_owned(), seen(*kind, class))));
             named.collect::<Vec<_>>()
         };
         let host: BTreeMap<_, _> = (0..).zip(stage.groups).flat_map(of_group).collect();
-        assert_eq!(host, device, "{}: host and device", stage.name);
+        assert_eq!(host, device, "{} on {class:?}: host and device", stage.name);
     }
 }
 
-fn constants_of((stage, planes): ChartStage, mode_planes: u32) {
-    let module = parse(&stage.text(mode_planes));
+fn constants_of((stage, planes): ChartStage, class: AdapterClass, mode_planes: u32) {
+    let module = parse(&stage.text(class, mode_planes));
     let value = |name: &str| {
         let (_, constant) = module
             .constants
@@ -154,20 +168,23 @@ fn constants_of((stage, planes): ChartStage, mode_planes: u32) {
     };
     assert_eq!(value("MODE_PLANES"), mode_planes, "MODE_PLANES");
     assert_eq!(value("SUM_PLANES"), planes(mode_planes), "SUM_PLANES of {}", stage.name);
-    assert_eq!(value("REDUCE"), REDUCE, "REDUCE");
+    match class {
+        AdapterClass::Gpu => assert_eq!(value("REDUCE"), REDUCE, "REDUCE"),
+        AdapterClass::Software => assert_eq!(value("TABLE_WIDTH"), TABLE_WIDTH, "TABLE_WIDTH"),
+    }
 }
 
 #[test]
 fn constants_agree() {
-    for mode_planes in MODE_PLANES {
-        CHART_STAGES.into_iter().for_each(|stage| constants_of(stage, mode_planes));
+    for (class, mode_planes) in variants() {
+        CHART_STAGES.into_iter().for_each(|stage| constants_of(stage, class, mode_planes));
     }
 }
 
 fn workgroup_of((stage, planes): ChartStage, partition: Partition, mode_planes: u32) {
     let workgroup = partition.workgroup_for(planes(mode_planes));
     assert!(workgroup.is_multiple_of(REDUCE) && workgroup <= 256, "workgroups of {workgroup}");
-    let module = with_workgroup(&stage, mode_planes, workgroup);
+    let module = with_workgroup(&stage, partition, mode_planes, workgroup);
     assert_eq!(module.entry_points[0].workgroup_size, [workgroup, 1, 1], "workgroup size");
     let shared: u32 = module
         .global_variables
@@ -176,7 +193,8 @@ fn workgroup_of((stage, planes): ChartStage, partition: Partition, mode_planes: 
         .map(|(_, v)| module.types[v.ty].inner.size(module.to_ctx()))
         .sum();
     let name = stage.name;
-    assert_eq!(shared, workgroup * planes(mode_planes) * 16, "{name}: the host knows what is shared");
+    let expected = partition.shared_bytes(workgroup, planes(mode_planes));
+    assert_eq!(shared, expected, "{name}: the host knows what is shared");
     assert!(
         shared <= WORKGROUP_BYTES,
         "{name}: {shared} bytes shared by {workgroup}, {mode_planes} mode planes"
@@ -190,7 +208,7 @@ fn workgroups_fit_every_device() {
         for mode_planes in MODE_PLANES {
             CHART_STAGES.into_iter().for_each(|stage| workgroup_of(stage, partition, mode_planes));
         }
-        let module = with_workgroup(&DOWNSAMPLE, 0, partition.workgroup);
+        let module = with_workgroup(&DOWNSAMPLE, partition, 0, partition.workgroup);
         assert_eq!(module.entry_points[0].workgroup_size, [partition.workgroup, 1, 1], "workgroup size");
     }
 }

@@ -13,7 +13,8 @@ use super::buffers::{DeviceLevel, Warp, small};
 use super::context::Context;
 use super::readback::Readback;
 use super::rows::{MANY, PER_THREAD};
-use super::shaders::Stage;
+use super::shaders::{AdapterClass, Stage};
+use super::table::{Table, most_bytes};
 use crate::backend::{Request, TriangleWarp};
 use crate::error::Result;
 
@@ -47,7 +48,7 @@ pub(super) struct Target<'a> {
     pub(super) pass: &'a Pass,
     /// Group 2.
     pub(super) image: &'a BindGroup,
-    /// Largest buffer of a dispatch, bytes.
+    /// Largest buffer or table of a dispatch, bytes.
     pub(super) limit: u64,
 }
 
@@ -64,7 +65,7 @@ impl Sizes {
         Self {
             warps: bytes(3 * level.centres.len()),
             appearance: bytes(level.modes.div_ceil(4)),
-            sums: bytes(level.chunks.len() * planes as usize),
+            sums: bytes(level.chunks.len() * level.partition.rows_per_chunk() * planes as usize),
         }
     }
 }
@@ -91,8 +92,10 @@ pub(super) struct Batch {
 
 #[derive(Debug)]
 struct Bound {
-    /// `warps`, `appearance`, `sums`: the bindings of group 1.
-    buffers: [Buffer; 3],
+    /// With `sums` the bindings of group 1.
+    warps: Table,
+    appearance: Table,
+    sums: Buffer,
     bind_group: BindGroup,
 }
 
@@ -138,12 +141,12 @@ impl Batch {
             target;
         let sizes = Sizes::new(&loaded.level, *planes, part.items);
         self.encode_poses(&loaded.level, part);
-        self.grow(context, layout, &sizes)?;
+        self.grow(context, layout, (&sizes, loaded.level.partition.class))?;
         let Some(bound) = &self.buffers else { return Ok(()) };
         let staging = readback.buffer(context, sizes.sums)?;
         let submission = context.scoped(stage.name, || {
-            context.queue.write_buffer(&bound.buffers[0], 0, bytemuck::cast_slice(&self.warps));
-            context.queue.write_buffer(&bound.buffers[1], 0, bytemuck::cast_slice(&self.appearance));
+            bound.warps.write(context, bytemuck::cast_slice(&self.warps));
+            bound.appearance.write(context, bytemuck::cast_slice(&self.appearance));
             let mut encoder = context.device.create_command_encoder(&CommandEncoderDescriptor::default());
             let mut pass = encoder.begin_compute_pass(&ComputePassDescriptor::default());
             pass.set_pipeline(pipeline);
@@ -153,7 +156,7 @@ impl Batch {
             let chunks = small(loaded.level.chunks.len());
             pass.dispatch_workgroups(chunks.min(MAX_GROUPS), small(part.items), chunks.div_ceil(MAX_GROUPS));
             drop(pass);
-            encoder.copy_buffer_to_buffer(&bound.buffers[2], 0, staging, 0, sizes.sums);
+            encoder.copy_buffer_to_buffer(&bound.sums, 0, staging, 0, sizes.sums);
             context.submit(encoder)
         });
         readback.read(context, submission?, sizes.sums, |data| write(bytemuck::cast_slice(data)))
@@ -186,23 +189,31 @@ impl Batch {
     }
 
     /// Makes the buffers large enough, with room to spare.
-    fn grow(&mut self, context: &Context, layout: &BindGroupLayout, sizes: &Sizes) -> Result<()> {
+    fn grow(
+        &mut self,
+        context: &Context,
+        layout: &BindGroupLayout,
+        (sizes, class): (&Sizes, AdapterClass),
+    ) -> Result<()> {
         let needed = [sizes.warps, sizes.appearance, sizes.sums];
-        let fits = |b: &Bound| b.buffers.iter().zip(needed).all(|(buffer, bytes)| buffer.size() >= bytes);
+        let room = |b: &Bound| [b.warps.room(), b.appearance.room(), b.sums.size()];
+        let fits = |b: &Bound| room(b).iter().zip(needed).all(|(room, bytes)| *room >= bytes);
         if self.buffers.as_ref().is_some_and(fits) {
             return Ok(());
         }
-        let limit = context.max_bytes();
-        let old = self.buffers.take().map_or([0; 3], |bound| bound.buffers.map(|buffer| buffer.size()));
-        let bound = context.scoped("creating the pose buffers", || {
-            let create = |k: usize, label: &str| {
-                let bytes = needed[k].next_power_of_two().min(limit).max(old[k]);
-                context.buffer(label, bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC)
+        let old = self.buffers.take().map_or([0; 3], |bound| room(&bound));
+        let bytes = |k: usize, limit: u64| needed[k].next_power_of_two().max(old[k]).min(limit);
+        let bound = context.scoped("creating the pose buffers", || -> Result<_> {
+            let table = |k: usize, label: &str| {
+                Table::new(context, class, label, bytes(k, most_bytes(context, class)))
             };
-            let buffers = [create(0, "warps"), create(1, "appearance"), create(2, "sums")];
-            let bind_group = context.bind("poses", layout, &buffers);
-            Bound { buffers, bind_group }
-        })?;
+            let (warps, appearance) = (table(0, "warps")?, table(1, "appearance")?);
+            let usage = BufferUsages::STORAGE | BufferUsages::COPY_SRC;
+            let sums = context.buffer("sums", bytes(2, context.max_bytes()), usage);
+            let resources = [warps.resource(), appearance.resource(), sums.as_entire_binding()];
+            let bind_group = context.bind("poses", layout, resources);
+            Ok(Bound { warps, appearance, sums, bind_group })
+        })??;
         self.buffers = Some(bound);
         Ok(())
     }

@@ -2,9 +2,11 @@
 
 use bytemuck::{Pod, Zeroable};
 use nalgebra::Vector2;
-use wgpu::BufferUsages;
+use wgpu::{BindingResource, Buffer, BufferUsages};
 
 use super::context::Context;
+use super::shaders::{AdapterClass, Partition};
+use super::table::Table;
 use crate::backend::TriangleWarp;
 use crate::backend::local::{self, LocalWarp};
 use crate::error::Result;
@@ -102,41 +104,51 @@ pub(super) struct DeviceLevel {
     pub(super) centres: Vec<Vector2<f64>>,
     /// Number of modes l.
     pub(super) modes: usize,
-    /// The bindings of group 0 of `accumulate`, in their order.
-    pub(super) buffers: [wgpu::Buffer; 5],
+    /// How it is cut.
+    pub(super) partition: Partition,
+    /// `level`, then `chunks`, `pixels`, `modes`: the bindings of group 0 of `accumulate`.
+    constants: Buffer,
+    tables: [Table; 3],
 }
 
 impl DeviceLevel {
     /// Uploads a level.
-    pub(super) fn upload(context: &Context, template: &LevelTemplate, chunk_pixels: u32) -> Result<Self> {
+    pub(super) fn upload(context: &Context, template: &LevelTemplate, partition: Partition) -> Result<Self> {
         let pixels = &template.pixels;
         let centres: Vec<Vector2<f64>> = template.charts.iter().map(|c| local::centre(template, c)).collect();
-        let chunks = chunks(template, chunk_pixels);
+        let chunks = chunks(template, partition.chunk_pixels);
         let level = Level {
             pixels: small(pixels.len()),
             chunks: small(chunks.len()),
             triangles: small(template.charts.len()),
             unused: 0,
         };
-        let contents: [(&str, Vec<u8>); 5] = [
-            ("level", bytemuck::bytes_of(&level).to_vec()),
-            ("chunks", bytemuck::cast_slice(&chunks).to_vec()),
-            ("positions", bytemuck::cast_slice(&positions(template, &centres)).to_vec()),
-            ("texels", bytemuck::cast_slice(&texels(pixels)).to_vec()),
-            ("modes", bytemuck::cast_slice(&mode_planes(pixels)).to_vec()),
-        ];
-        for (label, bytes) in &contents {
-            context.require(&format!("template buffer {label} (bytes)"), bytes.len() as u64)?;
-        }
-        let buffers = context.scoped("uploading the template", || {
-            contents.map(|(label, bytes)| {
-                let usage = if label == "level" { BufferUsages::UNIFORM } else { BufferUsages::STORAGE };
-                let buffer = context.buffer(label, bytes.len() as u64, usage);
-                context.queue.write_buffer(&buffer, 0, &bytes);
-                buffer
-            })
-        })?;
-        Ok(Self { chunks, centres, modes: pixels.modes.len(), buffers })
+        let packed = packed_pixels(template, &centres);
+        let modes = match partition.class {
+            AdapterClass::Gpu => packed_modes::<2>(pixels),
+            AdapterClass::Software => packed_modes::<4>(pixels),
+        };
+        let (constants, tables) = context.scoped("uploading the template", || -> Result<_> {
+            let constants = context.buffer("level", size_of::<Level>() as u64, BufferUsages::UNIFORM);
+            context.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&level));
+            let table = |label, bytes: &[u8]| {
+                let table = Table::new(context, partition.class, label, bytes.len() as u64)?;
+                table.write(context, bytes);
+                Ok(table)
+            };
+            let tables = [
+                table("template table chunks", bytemuck::cast_slice(&chunks))?,
+                table("template table pixels", bytemuck::cast_slice(&packed))?,
+                table("template table modes", bytemuck::cast_slice(&modes))?,
+            ];
+            Ok((constants, tables))
+        })??;
+        Ok(Self { chunks, centres, modes: pixels.modes.len(), partition, constants, tables })
+    }
+
+    /// The bindings of group 0 of `accumulate`, in their order.
+    pub(super) fn resources(&self) -> impl Iterator<Item = BindingResource<'_>> {
+        std::iter::once(self.constants.as_entire_binding()).chain(self.tables.iter().map(Table::resource))
     }
 }
 
@@ -160,36 +172,29 @@ pub(super) fn small(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
-/// Two 16-bit integers per pixel, relative to the chart's centre.
-fn positions(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<u32> {
-    let mut packed = vec![0; template.pixels.len()];
+/// Two 16-bit numbers to a word: the position relative to the chart's centre, the gradient, intensity and weight. The
+/// fourth word is free.
+fn packed_pixels(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<[u32; 4]> {
+    let Pixels { position, gradient, intensity, weight, .. } = &template.pixels;
+    let mut packed = vec![[0; 4]; position.len()];
     for (chart, centre) in template.charts.iter().zip(centres) {
-        for (word, position) in packed[chart.range()].iter_mut().zip(&template.pixels.position[chart.range()])
-        {
-            *word = local::pack(*position, *centre);
+        for p in chart.range() {
+            let [gu, gv] = gradient[p].map(signed);
+            let values = pair(unsigned(intensity[p], steps::INTENSITY), unsigned(weight[p], steps::WEIGHT));
+            packed[p] = [local::pack(position[p], *centre), pair(gu, gv), values, 0];
         }
     }
     packed
 }
 
-/// Gradient, then intensity and weight: two 16-bit numbers to a word.
-fn texels(pixels: &Pixels) -> Vec<[u32; 2]> {
-    let columns = pixels.gradient.iter().zip(&pixels.intensity).zip(&pixels.weight);
-    columns
-        .map(|((&[gu, gv], &intensity), &weight)| {
-            let gradient = pair(signed(gu), signed(gv));
-            [gradient, pair(unsigned(intensity, steps::INTENSITY), unsigned(weight, steps::WEIGHT))]
-        })
-        .collect()
-}
-
-/// Four modes to a plane, two to a word; missing modes are zero.
-fn mode_planes(pixels: &Pixels) -> Vec<[u32; 2]> {
-    let plane = |four: &'_ [Vec<f32>], p: usize| {
-        let mode = |k: usize| four.get(k).map_or(0, |mode| signed(mode[p]));
-        [pair(mode(0), mode(1)), pair(mode(2), mode(3))]
+/// Two modes to a word, `WORDS` words to a pixel, plane after plane of pixels; missing modes are zero.
+fn packed_modes<const WORDS: usize>(pixels: &Pixels) -> Vec<u32> {
+    let record = |modes: &'_ [Vec<f32>], p: usize| {
+        let mode = |k: usize| modes.get(k).map_or(0, |mode| signed(mode[p]));
+        std::array::from_fn::<_, WORDS, _>(|word| pair(mode(2 * word), mode(2 * word + 1)))
     };
-    pixels.modes.chunks(4).flat_map(|four| (0..pixels.len()).map(move |p| plane(four, p))).collect()
+    let planes = pixels.modes.chunks(2 * WORDS);
+    planes.flat_map(|modes| (0..pixels.len()).flat_map(move |p| record(modes, p))).collect()
 }
 
 /// The first in the low, the second in the high half.

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use wgpu::{
-    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, Buffer, BufferDescriptor, BufferUsages,
-    CommandEncoder, ErrorFilter, Limits, PollType, SubmissionIndex,
+    BindGroup, BindGroupDescriptor, BindGroupEntry, BindGroupLayout, BindingResource, Buffer,
+    BufferDescriptor, BufferUsages, CommandEncoder, ErrorFilter, Limits, PollType, SubmissionIndex,
 };
 
 use super::adapter::{AdapterSelection, AdapterSummary, select};
@@ -143,16 +143,15 @@ impl Context {
         self.adapter.max_binding_bytes.min(self.adapter.max_buffer_bytes) & !15
     }
 
-    /// A bind group of whole buffers, in their order.
+    /// A bind group of these, in their order.
     pub(super) fn bind<'a>(
         &self,
         label: &str,
         layout: &BindGroupLayout,
-        buffers: impl IntoIterator<Item = &'a Buffer>,
+        resources: impl IntoIterator<Item = BindingResource<'a>>,
     ) -> BindGroup {
-        let entry =
-            |(binding, b): (u32, &'a Buffer)| BindGroupEntry { binding, resource: b.as_entire_binding() };
-        let entries: Vec<_> = (0..).zip(buffers).map(entry).collect();
+        let entry = |(binding, resource)| BindGroupEntry { binding, resource };
+        let entries: Vec<_> = (0..).zip(resources).map(entry).collect();
         self.device.create_bind_group(&BindGroupDescriptor { label: Some(label), layout, entries: &entries })
     }
 

@@ -55,7 +55,7 @@ impl Halver {
                 };
                 let uniform = context.buffer("halving", size_of::<Halving>() as u64, BufferUsages::UNIFORM);
                 context.queue.write_buffer(&uniform, 0, bytemuck::bytes_of(&constants));
-                let buffers = [&uniform, &pair[0].buffer, &pair[1].buffer];
+                let buffers = [&uniform, &pair[0].buffer, &pair[1].buffer].map(Buffer::as_entire_binding);
                 (constants, context.bind(DOWNSAMPLE.name, &layout, buffers))
             };
             let steps = images.windows(2).enumerate().map(step).collect();

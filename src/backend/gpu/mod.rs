@@ -14,6 +14,7 @@ mod readback;
 mod rows;
 mod scan;
 pub mod shaders;
+mod table;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -80,10 +81,10 @@ impl GpuBackend {
             PyramidPlace::Host => false,
             PyramidPlace::Device => true,
         };
-        let layouts = context.scoped("opening", || ACCUMULATE.layouts(&context))?;
+        let layouts = context.scoped("opening", || ACCUMULATE.layouts(&context, partition.class))?;
         let downsample = if on_device {
-            let layouts = context.scoped("opening", || DOWNSAMPLE.layouts(&context))?;
-            Some(DOWNSAMPLE.pipeline(&context, &layouts, 0, partition.workgroup)?)
+            let layouts = context.scoped("opening", || DOWNSAMPLE.layouts(&context, partition.class))?;
+            Some(DOWNSAMPLE.pipeline(&context, &layouts, (partition.class, 0), partition.workgroup)?)
         } else {
             None
         };
@@ -115,17 +116,18 @@ impl GpuBackend {
     /// Uploads a level.
     fn load_level(&self, template: &LevelTemplate) -> Result<LoadedLevel> {
         let context = &self.context;
-        let level = DeviceLevel::upload(context, template, self.partition.chunk_pixels)?;
+        let level = DeviceLevel::upload(context, template, self.partition)?;
         max_items(context, &level, accumulate_planes(small(level.modes.div_ceil(4))), self.limit())?;
         let bind_group = context.scoped("binding the template", || {
-            context.bind("template", &self.layouts[0], level.buffers.each_ref())
+            context.bind("template", &self.layouts[0], level.resources())
         })?;
         Ok(LoadedLevel { level, bind_group })
     }
 
-    /// Largest buffer of a dispatch, bytes.
+    /// Largest buffer or table of a dispatch, bytes.
     fn limit(&self) -> u64 {
-        self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(self.context.max_bytes())
+        let most = table::most_bytes(&self.context, self.partition.class);
+        self.options.max_dispatch_bytes.unwrap_or(u64::MAX).min(most)
     }
 
     /// Compiles a stage for a number of modes, once; true if it is new.
@@ -137,7 +139,8 @@ impl GpuBackend {
         }
         let planes = planes(mode_planes);
         let workgroup = self.partition.workgroup_for(planes);
-        let pipeline = stage.pipeline(&self.context, &self.layouts, mode_planes, workgroup)?;
+        let variant = (self.partition.class, mode_planes);
+        let pipeline = stage.pipeline(&self.context, &self.layouts, variant, workgroup)?;
         self.passes.insert(key, Pass { stage, pipeline, planes });
         Ok(true)
     }

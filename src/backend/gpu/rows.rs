@@ -25,10 +25,12 @@ pub(super) fn add_sums(level: &DeviceLevel, items: Range<usize>, chunk_rows: &[f
     let (row_len, triangles) = (Sums::row_len(level.modes), level.centres.len());
     let rows = &mut rows[items.start * triangles * row_len..items.end * triangles * row_len];
     let device_len = DEVICE_HEAD + level.modes.next_multiple_of(4);
-    let device_item = device_len * level.chunks.len();
+    let of_chunk = device_len * level.partition.rows_per_chunk();
+    let device_item = of_chunk * level.chunks.len();
     let add = |(item, rows): (&[f32], &mut [f64])| {
-        for (chunk, partial) in level.chunks.iter().zip(item.chunks_exact(device_len)) {
-            add_first(&mut rows[chunk.triangle as usize * row_len..][..row_len], partial);
+        for (chunk, partials) in level.chunks.iter().zip(item.chunks_exact(of_chunk)) {
+            let row = &mut rows[chunk.triangle as usize * row_len..][..row_len];
+            partials.chunks_exact(device_len).for_each(|partial| add_first(row, partial));
         }
         for (row, centre) in rows.chunks_exact_mut(row_len).zip(&level.centres) {
             to_origin(&mut row[..6], *centre);
@@ -54,14 +56,17 @@ pub(super) fn add_linearization(
     let padded = modes.next_multiple_of(4);
     let first_planes = DEVICE_HEAD + padded;
     let device_len = first_planes + DEVICE_SECOND + 6 * padded;
-    let of_items = chunk_rows.chunks_exact(device_len * level.chunks.len());
+    let of_chunk = device_len * level.partition.rows_per_chunk();
+    let of_items = chunk_rows.chunks_exact(of_chunk * level.chunks.len());
     for (item, of_chunks) in items.zip(of_items) {
         let first = &mut first[item * triangles * first_len..][..triangles * first_len];
         let second = &mut second[item * triangles * second_len..][..triangles * second_len];
-        for (chunk, partial) in level.chunks.iter().zip(of_chunks.chunks_exact(device_len)) {
+        for (chunk, partials) in level.chunks.iter().zip(of_chunks.chunks_exact(of_chunk)) {
             let t = chunk.triangle as usize;
-            add_first(&mut first[t * first_len..][..first_len], &partial[..first_planes]);
-            add_second(&mut second[t * second_len..][..second_len], &partial[first_planes..]);
+            for partial in partials.chunks_exact(device_len) {
+                add_first(&mut first[t * first_len..][..first_len], &partial[..first_planes]);
+                add_second(&mut second[t * second_len..][..second_len], &partial[first_planes..]);
+            }
         }
         let rows = first.chunks_exact_mut(first_len).zip(second.chunks_exact_mut(second_len));
         for ((first, second), centre) in rows.zip(&level.centres) {

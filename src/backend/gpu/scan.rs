@@ -1,6 +1,6 @@
 //! The `scan` stage on the device.
 
-use wgpu::{BufferUsages, ComputePipeline};
+use wgpu::{Buffer, BufferUsages, ComputePipeline};
 
 use super::buffers::{Scan, small};
 use super::context::Context;
@@ -20,8 +20,8 @@ pub(super) struct Scanner {
 
 impl Scanner {
     pub(super) fn new(context: &Context, partition: Partition) -> Result<Self> {
-        let layouts = context.scoped("opening", || SCAN.layouts(context))?;
-        Ok(Self { pipeline: SCAN.pipeline(context, &layouts, 0, partition.workgroup)? })
+        let layouts = context.scoped("opening", || SCAN.layouts(context, partition.class))?;
+        Ok(Self { pipeline: SCAN.pipeline(context, &layouts, (partition.class, 0), partition.workgroup)? })
     }
 
     /// Scores the templates of a checked request.
@@ -63,7 +63,8 @@ impl Scanner {
             let out = context.buffer("peaks", bytes, BufferUsages::STORAGE | BufferUsages::COPY_SRC);
             let [scanned, gradient, points, templates] = &inputs;
             let layout = self.pipeline.get_bind_group_layout(0);
-            let group = context.bind(SCAN.name, &layout, [scanned, gradient, points, templates, &out]);
+            let buffers = [scanned, gradient, points, templates, &out].map(Buffer::as_entire_binding);
+            let group = context.bind(SCAN.name, &layout, buffers);
             let mut encoder = context.device.create_command_encoder(&Default::default());
             {
                 let mut pass = encoder.begin_compute_pass(&Default::default());
