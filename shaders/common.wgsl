@@ -34,6 +34,10 @@ struct Warp {
     row_v: vec4f,
     /// Third row of the homography; w: 0 for a triangle that is left out, else 1 plus the number of the frame.
     row_w: vec4f,
+    /// Factors of the second differences of the template in what sampling adds to it along u; w: gain of what is saturated.
+    blur_u: vec4f,
+    /// The same along v; w: its bias.
+    blur_v: vec4f,
 }
 
 /// An image that is scanned.

@@ -66,6 +66,28 @@ fn single_pixels_and_many_poses_agree() {
     agrees(&Scene::new(9, 5_000, 4, 130), "many poses");
 }
 
+#[test]
+fn overexposed_frames_agree_and_other_light_does_not() {
+    for (pixels, modes) in [(257, 0), (257, 4), (20_000, 3)] {
+        let scene = Scene::new(14, pixels, modes, 3).overexposed();
+        agrees(&scene, &format!("{pixels} pixels, {modes} modes"));
+    }
+    let scene = Scene::new(16, 257, 4, 1).overexposed();
+    let mut disturbed = scene.clone();
+    disturbed.warps[0].light[1] += 1.0;
+    must_differ(&scene, &disturbed);
+}
+
+#[test]
+fn a_changed_blur_is_noticed() {
+    let scene = Scene::new(15, 257, 4, 1);
+    for k in 0..6 {
+        let mut disturbed = scene.clone();
+        disturbed.warps[0].blur.as_flattened_mut()[k] += 0.05;
+        must_differ(&scene, &disturbed);
+    }
+}
+
 fn linearization(instructions: Instructions, scene: &Scene) -> Linearization {
     let mut cpu = CpuBackend::with(Implementation::Fast(instructions));
     let model = cpu.load(&scene.model).expect("the CPU takes every model");

@@ -39,12 +39,15 @@ fn main() -> ExitCode {
     trials.extend([
         trial("accumulate/as_hardware", || accumulate_agrees_cut_for(false)),
         trial("accumulate/as_software", || accumulate_agrees_cut_for(true)),
+        trial("accumulate/overexposed", overexposed_frames_agree),
         trial("linearize/as_hardware", || linearize_agrees_cut_for(false)),
         trial("linearize/as_software", || linearize_agrees_cut_for(true)),
         trial("linearize/control", disturbed_linearizations_are_noticed),
         trial("linearize/split", split_linearizations_are_equal),
         trial("accumulate/control_warp", a_moved_warp_is_noticed),
         trial("accumulate/control_pixel", a_changed_pixel_is_noticed),
+        trial("accumulate/control_blur", a_changed_blur_is_noticed),
+        trial("accumulate/control_light", a_changed_light_is_noticed),
         trial("accumulate/control_frame", a_changed_frame_is_noticed),
         trial("accumulate/many_chunks", more_chunks_than_groups_agree),
         trial("accumulate/split", split_batches_are_equal),
@@ -156,6 +159,34 @@ fn a_changed_pixel_is_noticed() -> Result<(), Failed> {
         let scene = Scene::new(12, pixels, 4, 1);
         let mut disturbed = scene.clone();
         disturbed.model.levels[0].pixels.intensity[0] += 1.0;
+        must_differ(&scene, &disturbed)?;
+    }
+    Ok(())
+}
+
+fn overexposed_frames_agree() -> Result<(), Failed> {
+    for (pixels, modes) in [(257, 0), (257, 4), (72_000, 3)] {
+        let scene = Scene::new(14, pixels, modes, 3).overexposed();
+        Reference::new(&scene).compare(&scene, &sums(&mut shared(), &scene)?)?;
+    }
+    Ok(())
+}
+
+fn a_changed_blur_is_noticed() -> Result<(), Failed> {
+    let scene = Scene::new(15, 257, 4, 1);
+    for k in 0..6 {
+        let mut disturbed = scene.clone();
+        disturbed.warps[0].blur.as_flattened_mut()[k] += 0.05;
+        must_differ(&scene, &disturbed)?;
+    }
+    Ok(())
+}
+
+fn a_changed_light_is_noticed() -> Result<(), Failed> {
+    let scene = Scene::new(16, 257, 4, 1).overexposed();
+    for (k, change) in [(0, 0.01), (1, 1.0)] {
+        let mut disturbed = scene.clone();
+        disturbed.warps[0].light[k] += change;
         must_differ(&scene, &disturbed)?;
     }
     Ok(())

@@ -89,7 +89,7 @@ fn host_layouts() -> Vec<(&'static str, Layout)> {
     vec![
         host_layout!(Level { pixels, chunks, triangles, unused }),
         host_layout!(Chunk { start, end, triangle, unused }),
-        host_layout!(Warp { row_u, row_v, row_w }),
+        host_layout!(Warp { row_u, row_v, row_w, blur_u, blur_v }),
         host_layout!(Scan { width, height, columns, tile }),
         host_layout!(Halving { stride_in, stride_out, words, rows, rows_in }),
     ]

@@ -22,6 +22,10 @@ fn halves(word: u32) -> vec2f {
     return vec2f(f32((both << 16u) >> 16u), f32(both >> 16u));
 }
 
+// A pixel is four words: three of two 16-bit numbers, the first in the low half, u and v relative to the chart's centre and
+// g_u and g_v with sign, T0 and q without; the fourth has the second differences. A plane of modes has two words for a
+// pixel, four numbers with sign.
+
 /// u and v of a pixel relative to the chart's centre.
 fn position_of(pixel: vec4u) -> vec2f {
     return halves(pixel.x);
@@ -31,6 +35,12 @@ fn position_of(pixel: vec4u) -> vec2f {
 fn texel_of(pixel: vec4u) -> vec4f {
     let unsigned = vec2f(f32(pixel.z & 0xffffu), f32(pixel.z >> 16u));
     return vec4f(SIGNED_STEP * halves(pixel.y), vec2f(INTENSITY_STEP, WEIGHT_STEP) * unsigned);
+}
+
+/// d2T/du2, d2T/du dv, d2T/dv2 of a pixel, in their steps: 11, 10 and 11 bits.
+fn curvature_of(pixel: vec4u) -> vec3f {
+    let packed = bitcast<i32>(pixel.w);
+    return vec3f(f32((packed << 21u) >> 21u), f32(packed >> 22u), f32((packed << 10u) >> 21u));
 }
 
 /// Four modes of a pixel.

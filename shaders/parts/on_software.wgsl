@@ -37,7 +37,14 @@ fn warp_vector(i: u32) -> vec4f {
 }
 
 fn warp_at(i: u32) -> Warp {
-    return Warp(warp_vector(3u * i), warp_vector(3u * i + 1u), warp_vector(3u * i + 2u));
+    let first = 5u * i;
+    return Warp(
+        warp_vector(first),
+        warp_vector(first + 1u),
+        warp_vector(first + 2u),
+        warp_vector(first + 3u),
+        warp_vector(first + 4u),
+    );
 }
 
 fn appearance_at(i: u32) -> vec4f {

@@ -21,6 +21,11 @@ pub(super) struct LocalWarp {
 }
 
 impl LocalWarp {
+    /// Is the template blurred as the frame is?
+    pub(super) fn is_blurred(&self) -> bool {
+        self.blur != [[0.0; 3]; 2]
+    }
+
     /// Both shifts are made in f64, so that f32 holds only distances within the chart.
     pub(super) fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
         /// Largest base, pixels: f32 holds it and its neighbours exactly.
@@ -84,5 +89,22 @@ pub(super) fn second_to_origin(sums: &mut [f64], c: Vector2<f64>) {
         sums[2] = u + c.x * one;
         sums[3] = vv + 2.0 * c.y * v + c.y * c.y * one;
         sums[4] = v + c.y * one;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curvatures_come_back_from_their_bits() {
+        for curvature in [[0.0; 3], [-510.0, 127.5, 510.0], [509.5, -127.75, -0.5], [0.5, 0.25, -510.0]] {
+            let packed = pack_curvature(curvature).cast_signed();
+            let back = [(packed << 21) >> 21, packed >> 22, (packed << 10) >> 21];
+            let steps = [STRAIGHT_STEP, MIXED_STEP, STRAIGHT_STEP];
+            #[expect(clippy::cast_precision_loss, reason = "a few bits")]
+            let back = [0, 1, 2].map(|k| back[k] as f32 * steps[k]);
+            assert_eq!(back, curvature, "{packed:#x}");
+        }
     }
 }

@@ -38,8 +38,8 @@ pub struct TriangleWarp {
     /// What sampling the frame bilinearly adds to the template at fractions f of a pixel: the sum over k = u, v of
     /// (f_k (1 - f_k) - [`TEMPLATE_BLUR`]) `blur[k]` . (d2T/du2, d2T/du dv, d2T/dv2).
     pub blur: [[f64; 3]; 2],
-    /// What a pixel would show if it were not saturated, as far as it is not in the template as it is rendered: `light[0]` T0 +
-    /// `light[1]`, grey levels.
+    /// What saturated pixels would show beyond the template with its modes and blur: `light[0]` T0 + `light[1]`, grey levels. They
+    /// are taken for that bright as far as [`SATURATED_SHARE`] says, and a pixel that lacks a grey level is not counted.
     pub light: [f64; 2],
     /// False leaves the triangle out: its sums are zero.
     pub active: bool,
@@ -50,6 +50,9 @@ pub struct TriangleWarp {
 pub const TEMPLATE_BLUR: f64 = 1.0 / 12.0;
 /// Grey level from which on a pixel of the frame counts as saturated.
 pub const SATURATED: u8 = 254;
+/// Share of the bilinear weights from which on a position is as saturated as the pixels around it; below in proportion, so that
+/// nothing jumps where a position crosses a pixel.
+pub const SATURATED_SHARE: f64 = 0.25;
 
 impl TriangleWarp {
     /// [`Self::light`] below every grey level: what is saturated stays as it is.

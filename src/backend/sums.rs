@@ -10,7 +10,7 @@
 /// | gradient | q r (g_u u, g_u v, g_u, g_v u, g_v v, g_v), (u, v) relative to the chart's origin |
 /// | cost | q r^2 |
 /// | weight | q |
-/// | count | 1, 0 for a pixel with weight that is saturated and would be brighter |
+/// | count | 1, less for a pixel with weight that is saturated and would be brighter |
 /// | intensity | q r T0 |
 /// | one | q r |
 /// | modes | q r T_k |

@@ -32,7 +32,12 @@ impl Patch {
 
     /// Bilinear grey value.
     pub fn value(&self) -> f64 {
-        let ([a, b, c, d], [fu, fv]) = (self.values, self.fraction);
+        self.blend(self.values)
+    }
+
+    /// Bilinear mean of numbers of the four pixels.
+    pub fn blend(&self, [a, b, c, d]: [f64; 4]) -> f64 {
+        let [fu, fv] = self.fraction;
         let (top, bottom) = (a + fu * (b - a), c + fu * (d - c));
         top + fv * (bottom - top)
     }
@@ -43,11 +48,6 @@ impl Patch {
         let ([a, b, c, d], [fu, fv]) = (self.values, self.fraction);
         let (top, bottom) = (a + fu * (b - a), c + fu * (d - c));
         [(b - a) + fv * ((d - c) - (b - a)), bottom - top]
-    }
-
-    /// The largest of the four values.
-    pub fn brightest(&self) -> f64 {
-        self.values.into_iter().fold(0.0, f64::max)
     }
 }
 

@@ -72,3 +72,52 @@ impl Map {
         ]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of a quadratic surface in two charts of one view, cut along a column, and the same in another view.
+    fn charts() -> (Pixels, Vec<Chart>) {
+        let mut pixels = Pixels::default();
+        let mut charts = Vec::new();
+        for (view, columns) in [(0, 0..4_u16), (0, 4..7), (1, 0..4)] {
+            let start = u32::try_from(pixels.len()).expect("small");
+            for (u, v) in columns.clone().flat_map(|u| (0..5_u16).map(move |v| (u, v))) {
+                let (x, y) = (f32::from(u), f32::from(v));
+                pixels.position.push([u - columns.start, v]);
+                pixels.intensity.push(3.0 * x * x + 2.5 * x * y - y * y + 7.0 * x + 20.0);
+            }
+            let end = u32::try_from(pixels.len()).expect("small");
+            charts.push(Chart { view, origin: [10 + u32::from(columns.start), 20], start, end });
+        }
+        (pixels, charts)
+    }
+
+    #[test]
+    fn neighbours_are_found_across_charts_of_a_view() {
+        let (pixels, charts) = charts();
+        let found = curvature(&pixels, &charts);
+        for (chart, columns) in charts.iter().zip([1..4, 0..2, 1..3]) {
+            for p in chart.range() {
+                let [u, v] = pixels.position[p];
+                let inner = columns.contains(&u) && (1..4).contains(&v);
+                // Where a neighbour along one axis only is missing the other second difference is known.
+                let expected = if inner { [6.0, 2.5, -2.0] } else { found[p] };
+                assert_eq!(found[p], expected, "chart {chart:?} pixel ({u}, {v})");
+                assert!(inner || found[p][1] == 0.0, "the corner neighbours of ({u}, {v}) are missing");
+            }
+        }
+    }
+
+    #[test]
+    fn extremes_fit_their_bits() {
+        let mut pixels = Pixels::default();
+        for (u, v) in (0..3).flat_map(|u| (0..3).map(move |v| (u, v))) {
+            pixels.position.push([u, v]);
+            pixels.intensity.push(if (u, v) == (1, 1) { 255.0 } else { 0.0 });
+        }
+        let charts = [Chart { end: 9, ..Chart::default() }];
+        assert_eq!(curvature(&pixels, &charts)[4], [-510.0, 0.0, -510.0], "11 bits hold 1020 steps");
+    }
+}

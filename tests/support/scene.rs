@@ -55,6 +55,13 @@ impl Scene {
         Self { model: model(pixels, curvature, charts), image, items, frames: Vec::new(), warps, appearance }
     }
 
+    /// The same in an image of which about a quarter is white, where every pose knows the light.
+    pub(crate) fn overexposed(mut self) -> Self {
+        self.image.iter_mut().for_each(|value| *value = value.saturating_add(90));
+        self.warps.iter_mut().for_each(|warp| warp.light = [0.1, 90.0]);
+        self
+    }
+
     /// The request for all poses.
     pub(crate) fn request(&self, model: ModelId) -> Request<'_> {
         Request {
@@ -131,10 +138,9 @@ fn warp(rng: &mut ChaCha8Rng, item: usize, triangle: usize) -> TriangleWarp {
     }
     let mut blur = [[0.0; 3]; 2];
     if kind % 4 != 1 {
-        blur.as_flattened_mut().fill_with(|| rng.random_range(-0.6..0.6));
+        blur.as_flattened_mut().fill_with(|| rng.random_range(-0.5..0.5));
     }
-    let light = if kind % 3 == 0 { [0.1, 30.0] } else { TriangleWarp::UNKNOWN_LIGHT };
-    TriangleWarp { image_from_chart: h, blur, light, active: kind != 15 }
+    TriangleWarp { blur, active: kind != 15, ..TriangleWarp::plain(h) }
 }
 
 /// Pixels that look like the image at pose 0, give or take a few grey levels.
@@ -167,7 +173,7 @@ fn template(
 /// Second differences of any sign, whole numbers of their steps.
 fn curvature(rng: &mut ChaCha8Rng, pixels: usize) -> Vec<Curvature> {
     let steps = [STRAIGHT_STEP, MIXED_STEP, STRAIGHT_STEP];
-    (0..pixels).map(|_| steps.map(|step| step * f32::from(rng.random_range(-120..120_i8)))).collect()
+    (0..pixels).map(|_| steps.map(|step| step * f32::from(rng.random_range(-20..20_i8)))).collect()
 }
 
 /// A model around a template; its shape is a placeholder that no stage looks at.
@@ -181,8 +187,15 @@ fn model(pixels: Pixels, curvature: Vec<Curvature>, charts: Vec<Chart>) -> Model
     let moments = vec![Moments::zero(pixels.modes.len()); charts.len()];
     let geometry = vec![None; charts.len()];
     let groups = Groups::new(Grouping::Triangle, &shape, &charts, &moments);
-    let level =
-        LevelTemplate { pixels, curvature, charts, geometry, moments, by_face: groups.clone(), by_triangle: groups };
+    let level = LevelTemplate {
+        pixels,
+        curvature,
+        charts,
+        geometry,
+        moments,
+        by_face: groups.clone(),
+        by_triangle: groups,
+    };
     let calibration = Calibration::default();
     Model { object_id: 1, shape, views: Vec::new(), levels: vec![level], calibration }
 }

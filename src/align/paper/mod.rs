@@ -263,8 +263,9 @@ impl Pass<'_> {
 
     fn accumulate(&mut self, model: ModelId, step: &Step) -> Result<()> {
         let pose = step.motion.compose(&self.prepared.reference.view.camera_from_object);
-        let warps: Vec<TriangleWarp> =
-            (0..self.level.charts.len()).map(|t| self.warp(&pose, t).unwrap_or_else(TriangleWarp::idle)).collect();
+        let warps: Vec<TriangleWarp> = (0..self.level.charts.len())
+            .map(|t| self.warp(&pose, t).unwrap_or_else(TriangleWarp::idle))
+            .collect();
         let appearance: Vec<f32> = step.appearance.iter().copied().map(narrow).collect();
         let request = Request {
             model,

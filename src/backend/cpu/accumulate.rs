@@ -3,7 +3,7 @@
 use image::GrayImage;
 use nalgebra::Vector3;
 
-use crate::backend::{SATURATED, TEMPLATE_BLUR, TriangleWarp};
+use crate::backend::{SATURATED, SATURATED_SHARE, TEMPLATE_BLUR, TriangleWarp};
 use crate::imaging::sample::Patch;
 use crate::model::{Chart, LevelTemplate};
 
@@ -33,14 +33,12 @@ pub fn accumulate(
             let second = blur.iter().zip(level.curvature[p]).map(|(b, c)| b * f64::from(c)).sum::<f64>();
             template += (f * (1.0 - f) - TEMPLATE_BLUR) * second;
         }
-        let mut value = patch.value();
+        let shown = patch.value();
         let q = f64::from(pixels.weight[p]);
-        let expected = template + warp.light[0] * intensity + warp.light[1];
-        let is_hidden = patch.brightest() >= f64::from(SATURATED) && expected > value;
-        if is_hidden {
-            value = expected;
-        }
-        let residual = template - value;
+        let saturated = patch.blend(patch.values.map(|v| if v >= f64::from(SATURATED) { 1.0 } else { 0.0 }));
+        let lit = template + warp.light[0] * intensity + warp.light[1];
+        let missing = (saturated / SATURATED_SHARE).min(1.0) * (lit - shown).max(0.0);
+        let residual = template - (shown + missing);
         let qr = q * residual;
         let [gu, gv] = pixels.gradient[p].map(f64::from);
         let terms = [
@@ -52,7 +50,7 @@ pub fn accumulate(
             qr * gv,
             qr * residual,
             q,
-            if is_hidden && q > 0.0 { 0.0 } else { 1.0 },
+            if q > 0.0 { 1.0 - missing.min(1.0) } else { 1.0 },
             qr * intensity,
             qr,
         ];

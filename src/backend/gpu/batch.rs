@@ -63,7 +63,7 @@ impl Sizes {
     fn new(level: &DeviceLevel, planes: u32, items: usize) -> Self {
         let bytes = |vectors: usize| 16 * (vectors as u64) * (items as u64);
         Self {
-            warps: bytes(3 * level.centres.len()),
+            warps: (size_of::<Warp>() * level.centres.len() * items) as u64,
             appearance: bytes(level.modes.div_ceil(4)),
             sums: bytes(level.chunks.len() * level.partition.rows_per_chunk() * planes as usize),
         }

@@ -50,6 +50,10 @@ pub struct Warp {
     pub row_v: [f32; 4],
     /// Third row of the homography, 1 plus the number of the frame if active.
     pub row_w: [f32; 4],
+    /// Factors of the second differences along u, gain of what is saturated.
+    pub blur_u: [f32; 4],
+    /// The same along v, its bias.
+    pub blur_v: [f32; 4],
 }
 
 impl Warp {
@@ -59,9 +63,15 @@ impl Warp {
         if !warp.active {
             return Self::zeroed();
         }
-        let LocalWarp { rows, base, .. } = LocalWarp::new(warp, centre);
-        let row = |i: usize, last: f32| [rows[i][0], rows[i][1], rows[i][2], last];
-        Self { row_u: row(0, base[0]), row_v: row(1, base[1]), row_w: row(2, 1.0 + f32::from(frame)) }
+        let LocalWarp { rows, base, blur, light } = LocalWarp::new(warp, centre);
+        let with = |[a, b, c]: [f32; 3], last: f32| [a, b, c, last];
+        Self {
+            row_u: with(rows[0], base[0]),
+            row_v: with(rows[1], base[1]),
+            row_w: with(rows[2], 1.0 + f32::from(frame)),
+            blur_u: with(blur[0], light[0]),
+            blur_v: with(blur[1], light[1]),
+        }
     }
 }
 
@@ -172,8 +182,8 @@ pub(super) fn small(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
-/// Two 16-bit numbers to a word: the position relative to the chart's centre, the gradient, intensity and weight. The
-/// fourth word is free.
+/// Two 16-bit numbers to a word: the position relative to the chart's centre, the gradient, intensity and weight; then the
+/// second differences.
 fn packed_pixels(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<[u32; 4]> {
     let Pixels { position, gradient, intensity, weight, .. } = &template.pixels;
     let mut packed = vec![[0; 4]; position.len()];
@@ -181,7 +191,8 @@ fn packed_pixels(template: &LevelTemplate, centres: &[Vector2<f64>]) -> Vec<[u32
         for p in chart.range() {
             let [gu, gv] = gradient[p].map(signed);
             let values = pair(unsigned(intensity[p], steps::INTENSITY), unsigned(weight[p], steps::WEIGHT));
-            packed[p] = [local::pack(position[p], *centre), pair(gu, gv), values, 0];
+            let curvature = local::pack_curvature(template.curvature[p]);
+            packed[p] = [local::pack(position[p], *centre), pair(gu, gv), values, curvature];
         }
     }
     packed

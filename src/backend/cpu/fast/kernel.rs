@@ -5,9 +5,9 @@ use fearless_simd::{Simd, prelude::*};
 use super::BLOCK;
 use super::locate::{locate, locate_inside};
 use super::pairs::Pairs;
+use super::rendering::{blur, unsaturate};
 use super::template::Block;
 use crate::backend::local::LocalWarp;
-use crate::backend::{SATURATED, TEMPLATE_BLUR};
 
 /// Results of the steps over one block.
 #[derive(Debug)]
@@ -52,13 +52,17 @@ pub(super) fn add_block<S: Simd, const INSIDE: bool>(
     row: &mut [f64],
 ) {
     look::<S, INSIDE>(simd, block, warp, appearance, image, scratch);
-    let is_mean = appearance.is_empty();
-    let is_blurred = warp.blur != [[0.0; 3]; 2];
-    if is_blurred {
-        blur(simd, block, is_mean, warp, scratch);
-    }
     let (first, modes) = row.split_at_mut(11);
-    sum_texels::<S, INSIDE>(simd, block, is_mean && !is_blurred, warp, image.is_saturated, scratch, first);
+    let mut is_mean = appearance.is_empty();
+    if warp.is_blurred() {
+        blur(simd, block, is_mean, warp, scratch);
+        is_mean = false;
+    }
+    if image.is_saturated {
+        first[8] -= unsaturate::<S, INSIDE>(simd, block, is_mean, warp, scratch);
+        is_mean = false;
+    }
+    sum_texels::<S, INSIDE>(simd, block, is_mean, scratch, first);
     project(simd, block, scratch, modes);
 }
 
@@ -137,29 +141,6 @@ fn blend_some<S: Simd, const N: usize>(
     }
 }
 
-/// Adds to the template what sampling does to it, see [`crate::backend::TriangleWarp::blur`].
-#[inline(always)]
-fn blur<S: Simd>(simd: S, block: &Block<'_>, is_mean: bool, warp: &LocalWarp, scratch: &mut Scratch) {
-    let [by_u, by_v] = warp.blur.map(|factors| splat(simd, factors));
-    #[expect(clippy::cast_possible_truncation, reason = "one twelfth")]
-    let [one, blurred] = splat(simd, [1.0, -TEMPLATE_BLUR as f32]);
-    for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
-        let at = i..i + S::f32s::LEN;
-        let packed = S::i32s::from_slice(simd, &block.curvatures[at.clone()]);
-        let uu: S::f32s = ((packed << 21) >> 21).to_float();
-        let vv: S::f32s = ((packed << 10) >> 21).to_float();
-        let uv: S::f32s = (packed >> 22).to_float();
-        let before = if is_mean { &block.texels[2][at.clone()] } else { &scratch.template[at.clone()] };
-        let mut template = S::f32s::from_slice(simd, before);
-        let fractions = [load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at)];
-        for (f, by) in fractions.into_iter().zip([by_u, by_v]) {
-            let second = by[0].mul_add(uu, by[1].mul_add(uv, by[2] * vv));
-            template = f.mul_add(one - f, blurred).mul_add(second, template);
-        }
-        template.store_slice(&mut scratch.template[at]);
-    }
-}
-
 /// The first modes, each of length `n`.
 #[inline(always)]
 pub(super) fn columns<const N: usize>(modes: &[f32], n: usize) -> [&[f32]; N] {
@@ -176,13 +157,9 @@ fn sum_texels<S: Simd, const INSIDE: bool>(
     simd: S,
     block: &Block<'_>,
     is_mean: bool,
-    warp: &LocalWarp,
-    is_saturated: bool,
     scratch: &mut Scratch,
     row: &mut [f64],
 ) {
-    let [gain, bias, limit, zero, one] =
-        splat(simd, [warp.light[0], warp.light[1], f32::from(SATURATED), 0.0, 1.0]);
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for i in (0..block.positions.len()).step_by(S::f32s::LEN) {
         let at = i..i + S::f32s::LEN;
@@ -190,18 +167,8 @@ fn sum_texels<S: Simd, const INSIDE: bool>(
         let gradient_v = load(simd, block.texels[1], &at);
         let intensity = load(simd, block.texels[2], &at);
         let template = if is_mean { intensity } else { load(simd, &scratch.template, &at) };
-        let (shown, brightest) = sample(simd, scratch, at.clone());
-        let mut value = shown;
-        if is_saturated {
-            let expected = gain.mul_add(intensity, template + bias);
-            value = brightest.simd_ge(limit).select(shown.max(expected), shown);
-        }
-        let residual = template - value;
-        let [q, qr] = weigh::<S, INSIDE>(simd, block, &at, [intensity, residual], scratch, &mut sums);
-        if is_saturated {
-            let hidden = value.simd_gt(shown).select(q, zero);
-            sums[8] -= hidden.simd_gt(zero).select(one, zero);
-        }
+        let residual = template - sample(simd, scratch, at.clone());
+        let [_, qr] = weigh::<S, INSIDE>(simd, block, &at, [intensity, residual], scratch, &mut sums);
         let [u, v] = unpack(simd, &block.positions[at]);
         let (along_u, along_v) = (qr * gradient_u, qr * gradient_v);
         sums[0] = along_u.mul_add(u, sums[0]);
@@ -258,13 +225,20 @@ pub(super) fn load<S: Simd>(simd: S, values: &[f32], at: &std::ops::Range<usize>
 
 /// Grey values between the four pixels, bilinear.
 #[inline(always)]
-fn sample<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> (S::f32s, S::f32s) {
-    let (fu, fv) = (load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at));
-    let [upper_left, lower_left, upper_right, lower_right] = neighbours(simd, scratch, at);
+fn sample<S: Simd>(simd: S, scratch: &Scratch, at: std::ops::Range<usize>) -> S::f32s {
+    let fraction = [load(simd, &scratch.fraction[0], &at), load(simd, &scratch.fraction[1], &at)];
+    bilinear(fraction, neighbours(simd, scratch, at))
+}
+
+/// Between four values in the order of [`neighbours`].
+#[inline(always)]
+pub(super) fn bilinear<S: Simd, V: SimdFloat<S>>(
+    [fu, fv]: [V; 2],
+    [upper_left, lower_left, upper_right, lower_right]: [V; 4],
+) -> V {
     let upper = fu.mul_add(upper_right - upper_left, upper_left);
     let lower = fu.mul_add(lower_right - lower_left, lower_left);
-    let brightest = upper_left.max(lower_left).max(upper_right.max(lower_right));
-    (fv.mul_add(lower - upper, upper), brightest)
+    fv.mul_add(lower - upper, upper)
 }
 
 /// The four pixels around positions: upper left, lower left, upper right, lower right.

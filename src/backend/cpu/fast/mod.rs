@@ -8,6 +8,7 @@ mod kernel;
 mod linearize;
 mod locate;
 mod pairs;
+mod rendering;
 mod scan;
 mod template;
 

@@ -93,7 +93,8 @@ impl FastLevel {
         let padding = range.len().next_multiple_of(WIDEST) - range.len();
         let packed = pixels.position[range.clone()].iter().map(|p| pack(*p, centre).cast_signed());
         self.positions.extend(packed.chain(std::iter::repeat_n(0, padding)));
-        let curvatures = template.curvature[range.clone()].iter().map(|c| local::pack_curvature(*c).cast_signed());
+        let curvatures =
+            template.curvature[range.clone()].iter().map(|c| local::pack_curvature(*c).cast_signed());
         self.curvatures.extend(curvatures.chain(std::iter::repeat_n(0, padding)));
         let gradient = &pixels.gradient[range.clone()];
         let mut push = |column: &mut dyn Iterator<Item = f32>| {
@@ -115,7 +116,13 @@ impl FastLevel {
             let columns = &self.columns[at * (COLUMNS + self.modes)..][..n * (COLUMNS + self.modes)];
             let (texels, modes) = columns.split_at(COLUMNS * n);
             let texels = [0, 1, 2, 3].map(|k| &texels[k * n..][..n]);
-            Block { pixels, positions: &self.positions[at..][..n], curvatures: &self.curvatures[at..][..n], texels, modes }
+            Block {
+                pixels,
+                positions: &self.positions[at..][..n],
+                curvatures: &self.curvatures[at..][..n],
+                texels,
+                modes,
+            }
         })
     }
 
@@ -126,7 +133,9 @@ impl FastLevel {
 
     /// Bytes that one pass over the level reads.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(self.positions.as_slice()) + size_of_val(self.curvatures.as_slice()) + size_of_val(self.columns.as_slice())
+        size_of_val(self.positions.as_slice())
+            + size_of_val(self.curvatures.as_slice())
+            + size_of_val(self.columns.as_slice())
     }
 }
 
