@@ -22,6 +22,10 @@ fn halves(word: u32) -> vec2f {
     return vec2f(f32((both << 16u) >> 16u), f32(both >> 16u));
 }
 
+// A pixel is four words of two 16-bit numbers, the first in the low half: u and v relative to the chart's centre and g_u
+// and g_v with sign, T0 and q without; the last word is free. A plane of modes has two words for a pixel, four numbers
+// with sign.
+
 /// u and v of a pixel relative to the chart's centre.
 fn position_of(pixel: vec4u) -> vec2f {
     return halves(pixel.x);
