@@ -8,7 +8,7 @@ use crate::geometry::warp::warp_jacobian;
 use crate::model::{ChartGeometry, Groups};
 
 /// With less gain than this a triangle is next to flat, and what it would show if it were brighter says nothing.
-const MIN_GAIN: f64 = 0.2;
+const MIN_GAIN: f64 = 0.1;
 
 /// Grey levels of a triangle in the frame beyond those of the template with its modes: `gain` T0 + `bias`.
 #[derive(Debug, Clone, Copy, PartialEq)]
