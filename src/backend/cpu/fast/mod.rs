@@ -15,13 +15,14 @@ use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 
-pub(super) use pairs::Pairs;
+pub(super) use pairs::PairsPyramid;
 pub(in crate::backend) use scan::FastScanner;
 pub(super) use template::FastLevel;
 
 use kernel::Scratch;
 use linearize::LinearScratch;
 use locate::is_inside;
+use pairs::Pairs;
 use template::Triangle;
 
 use super::Instructions;
