@@ -17,6 +17,8 @@ pub(super) struct LocalWarp {
 
 impl LocalWarp {
     /// Both shifts are made in f64, so that f32 holds only distances within the chart.
+    #[inline(always)]
+    #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
     pub(super) fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
         /// Largest base, pixels: f32 holds it and its neighbours exactly.
         const LIMIT: f64 = 4_194_304.0;
@@ -25,10 +27,14 @@ impl LocalWarp {
         h.set_column(2, &at);
         let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
         let base = [near(at.x), near(at.y), 0.0];
-        #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
-        let row = |i: usize| [0, 1, 2].map(|j| (h[(i, j)] - base[i] * h[(2, j)]) as f32);
-        #[expect(clippy::cast_possible_truncation, reason = "whole numbers below the limit")]
-        Self { rows: [0, 1, 2].map(row), base: [base[0] as f32, base[1] as f32] }
+        // Loops instead of `map`, which is not always inlined.
+        let mut rows = [[0.0; 3]; 3];
+        for i in 0..3 {
+            for j in 0..3 {
+                rows[i][j] = (h[(i, j)] - base[i] * h[(2, j)]) as f32;
+            }
+        }
+        Self { rows, base: [base[0] as f32, base[1] as f32] }
     }
 }
 
