@@ -21,7 +21,7 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const WARM_UP: usize = 4;
 const COUNTED: usize = 20;
 
-/// Bytes that one more stream may take on the host. It has its own frame (three times its size: pyramid and pairs),
+/// Bytes that one more stream may take on the host. It has its own frame (three times its size: pairs and halves),
 /// depth buffer and sums, and no copy of the model.
 const MOST_PER_STREAM: usize = 2_800_000;
 

@@ -1,9 +1,12 @@
 //! Which triangles can be seen well enough to say something.
 
+use nalgebra::Matrix2x3;
+
 use super::Target;
-use super::derivative::{image_from_chart, projected_corners};
+use super::derivative::image_from_chart;
 use crate::geometry::Pose;
-use crate::geometry::raster::{ZBuffer, facing};
+use crate::geometry::raster::{Facet, ZBuffer};
+use crate::model::ChartGeometry;
 
 /// Triangles seen more obliquely than this cosine are left out.
 const MIN_COSINE: f64 = 0.06;
@@ -28,20 +31,21 @@ pub(super) fn visibility(target: &Target<'_>, pose: &Pose) -> Vec<f64> {
 pub(super) fn look_at(target: &Target<'_>, pose: &Pose, zbuffer: &mut ZBuffer, visibility: &mut Vec<f64>) {
     let mesh = &target.model.shape.mesh;
     zbuffer.visible_shares(mesh, &target.camera.at_level(VISIBILITY_LEVEL), pose, visibility);
-    for (t, share) in visibility.iter_mut().enumerate() {
-        let is_seen = *share >= MIN_VISIBLE && facing(&mesh.corners(t), pose) >= MIN_COSINE;
-        *share = if is_seen && is_open(target, pose, t) { *share } else { 0.0 };
+    for (share, (t, geometry)) in
+        visibility.iter_mut().zip(target.model.levels[0].geometry.iter().enumerate())
+    {
+        let is_clear = |facet: &Facet| {
+            let is_open = geometry.as_ref().is_some_and(|geometry| is_open(facet, geometry));
+            *share >= MIN_VISIBLE && facet.cosine >= MIN_COSINE && is_open
+        };
+        *share = if zbuffer.facet(t).is_some_and(is_clear) { *share } else { 0.0 };
     }
 }
 
-/// Does the image show a triangle less compressed than [`MIN_ASPECT`] says? False without a chart or
-/// behind the camera.
-fn is_open(target: &Target<'_>, pose: &Pose, triangle: usize) -> bool {
-    let affine = || {
-        let geometry = target.model.levels[0].geometry[triangle].as_ref()?;
-        Some(image_from_chart(&projected_corners(&target.camera, pose, geometry)?, geometry))
-    };
+/// Does the image show a triangle less compressed than [`MIN_ASPECT`] says, at whatever size?
+fn is_open(facet: &Facet, geometry: &ChartGeometry) -> bool {
+    let a = image_from_chart(&Matrix2x3::from_columns(&facet.corners.map(|c| c.coords)), geometry);
     // With singular values s1 >= s2: |det A| = s1 s2 and |A|^2 = s1^2 + s2^2, and s1 s2 / (s1^2 + s2^2) grows with s2 / s1.
     let least = MIN_ASPECT / (1.0 + MIN_ASPECT * MIN_ASPECT);
-    affine().is_some_and(|a| a.determinant().abs() >= least * a.norm_squared())
+    a.determinant().abs() >= least * a.norm_squared()
 }

@@ -27,6 +27,8 @@ impl LocalWarp {
     }
 
     /// Both shifts are made in f64, so that f32 holds only distances within the chart.
+    #[inline(always)]
+    #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
     pub(super) fn new(warp: &TriangleWarp, centre: Vector2<f64>) -> Self {
         /// Largest base, pixels: f32 holds it and its neighbours exactly.
         const LIMIT: f64 = 4_194_304.0;
@@ -35,13 +37,20 @@ impl LocalWarp {
         h.set_column(2, &at);
         let near = |x: f64| Some((x / at.z).floor()).filter(|b| b.abs() <= LIMIT).unwrap_or(0.0);
         let base = [near(at.x), near(at.y), 0.0];
-        #[expect(clippy::cast_possible_truncation, reason = "pixels are summed in f32")]
-        let row = |i: usize| [0, 1, 2].map(|j| (h[(i, j)] - base[i] * h[(2, j)]) as f32);
-        #[expect(clippy::cast_possible_truncation, reason = "whole numbers below the limit")]
-        let base = [base[0] as f32, base[1] as f32];
+        // Loops instead of `map`, which is not always inlined.
+        let mut rows = [[0.0; 3]; 3];
+        let mut blur = [[0.0; 3]; 2];
         let steps = [STRAIGHT_STEP, MIXED_STEP, STRAIGHT_STEP];
-        let blur = warp.blur.map(|blur| [0, 1, 2].map(|k| blur[k] as f32 * steps[k]));
-        Self { rows: [0, 1, 2].map(row), base, blur, light: warp.light.map(|x| x as f32) }
+        for j in 0..3 {
+            for i in 0..3 {
+                rows[i][j] = (h[(i, j)] - base[i] * h[(2, j)]) as f32;
+            }
+            for k in 0..2 {
+                blur[k][j] = warp.blur[k][j] as f32 * steps[j];
+            }
+        }
+        let light = [warp.light[0] as f32, warp.light[1] as f32];
+        Self { rows, base: [base[0] as f32, base[1] as f32], blur, light }
     }
 }
 

@@ -53,18 +53,22 @@ pub fn downsample(image: &GrayImage) -> GrayImage {
 }
 
 /// [`downsample`] into the memory of another image.
-fn downsample_into(image: &GrayImage, half: &mut GrayImage) {
+pub(crate) fn downsample_into(image: &GrayImage, half: &mut GrayImage) {
     let (w, h) = (image.width() as usize / 2, image.height() as usize / 2);
     let stride = image.width() as usize;
     let data = image.as_raw();
     let mut out = std::mem::take(half).into_raw();
     out.resize(w * h, 0);
+    // Two bytes as one number: vectors take them apart faster than they gather every other byte.
+    let sum = |pair: &[u8; 2]| {
+        let both = u16::from_le_bytes(*pair);
+        (both & 255) + (both >> 8)
+    };
     for (y, row) in out.chunks_exact_mut(w.max(1)).enumerate() {
-        let top = data[2 * y * stride..][..2 * w].chunks_exact(2);
-        let bottom = data[(2 * y + 1) * stride..][..2 * w].chunks_exact(2);
+        let (top, _) = data[2 * y * stride..][..2 * w].as_chunks();
+        let (bottom, _) = data[(2 * y + 1) * stride..][..2 * w].as_chunks();
         for ((value, top), bottom) in row.iter_mut().zip(top).zip(bottom) {
-            let sum = u16::from(top[0]) + u16::from(top[1]) + u16::from(bottom[0]) + u16::from(bottom[1]);
-            *value = ((sum + 2) >> 2).to_le_bytes()[0];
+            *value = ((sum(top) + sum(bottom) + 2) >> 2).to_le_bytes()[0];
         }
     }
     *half = with_size(image.width() / 2, image.height() / 2, out);

@@ -15,7 +15,7 @@ use super::{Backend, Linearization, ModelId, Request, ScanPeak, ScanRequest, Sum
 use crate::error::{Error, Result};
 use crate::imaging::Pyramid;
 use crate::model::{LevelTemplate, Model};
-use fast::{FastLevel, Pairs, Tile, Work};
+use fast::{FastLevel, PairsPyramid, Tile, Work};
 
 pub(super) use fast::FastScanner;
 
@@ -66,9 +66,10 @@ pub struct CpuBackend {
     level: fearless_simd::Level,
     /// Shared with the backends of other streams.
     models: Vec<Arc<Vec<Loaded>>>,
+    /// The frame, for the twin.
     frame: Pyramid,
-    /// The frame as the fast implementation wants it.
-    pairs: Vec<Pairs>,
+    /// The same for the fast implementation; one of both is filled.
+    pairs: PairsPyramid,
 }
 
 impl Default for CpuBackend {
@@ -99,7 +100,7 @@ impl CpuBackend {
             level: fast::level(instructions),
             models: Vec::new(),
             frame: Pyramid::default(),
-            pairs: Vec::new(),
+            pairs: PairsPyramid::default(),
         }
     }
 
@@ -129,7 +130,7 @@ impl CpuBackend {
         request.check(
             level.template.charts.len(),
             level.template.pixels.modes.len(),
-            (1, self.frame.len()),
+            (1, self.frame.len().max(self.pairs.len())),
         )?;
         Ok(level)
     }
@@ -149,7 +150,7 @@ impl Backend for CpuBackend {
             level: self.level,
             models: self.models.clone(),
             frame: Pyramid::default(),
-            pairs: Vec::new(),
+            pairs: PairsPyramid::default(),
         }))
     }
 
@@ -164,12 +165,9 @@ impl Backend for CpuBackend {
     }
 
     fn set_frame(&mut self, image: &GrayImage, levels: usize) -> Result<()> {
-        self.frame.rebuild(image, levels);
-        if self.implementation != Implementation::Twin {
-            self.pairs.resize_with(self.frame.len(), Pairs::default);
-            for (level, pairs) in self.pairs.iter_mut().enumerate() {
-                pairs.fill(self.frame.level(level));
-            }
+        match self.implementation {
+            Implementation::Fast(_) => self.pairs.rebuild(image, levels),
+            Implementation::Twin => self.frame.rebuild(image, levels),
         }
         Ok(())
     }
@@ -203,7 +201,7 @@ impl Backend for CpuBackend {
 
 impl CpuBackend {
     fn work<'a>(&'a self, template: &'a FastLevel, request: &'a Request<'a>) -> Work<'a> {
-        Work { level: self.level, template, request, image: &self.pairs[request.image_level] }
+        Work { level: self.level, template, request, image: self.pairs.level(request.image_level) }
     }
 
     fn accumulate_fast(&self, level: &FastLevel, request: &Request<'_>, sums: &mut Sums) {

@@ -14,20 +14,27 @@ const EXACT: u32 = 1 << 24;
 
 /// Are all pixels of a chart inside the image? `reach` is the largest |u| and |v| of its pixels. With positive depths the
 /// rectangle around them goes to the quadrangle of its warped corners.
+#[inline(always)]
 pub(super) fn is_inside(warp: &LocalWarp, reach: [f32; 2], image: &Pairs) -> bool {
     if image.width.saturating_mul(image.height) >= EXACT {
         return false;
     }
     #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
     let last = [image.width as f32 - 1.0, image.height as f32 - 1.0];
-    [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].iter().all(|[u, v]| {
-        let [x, y, depth] = warp.rows.map(|[a, b, c]| a * (u * reach[0]) + b * (v * reach[1]) + c);
-        // Without divisions: x / depth is relative to the base.
-        let inside = |x: f32, k: usize| {
-            x >= (MARGIN - warp.base[k]) * depth && x <= (last[k] - MARGIN - warp.base[k]) * depth
-        };
-        depth > 0.0 && inside(x, 0) && inside(y, 1)
-    })
+    let [row_u, row_v, depth] = &warp.rows;
+    // Middle and half the range of `row - at depth` over the rectangle: without divisions, x / depth is relative to the base.
+    let range = |row: &[f32; 3], at: f32| {
+        let [a, b, c] = [row[0] - at * depth[0], row[1] - at * depth[1], row[2] - at * depth[2]];
+        (c, a.abs() * reach[0] + b.abs() * reach[1])
+    };
+    let is_between = |row: &[f32; 3], low: f32, high: f32| {
+        let ((from_low, low_reach), (from_high, high_reach)) = (range(row, low), range(row, high));
+        from_low >= low_reach && -from_high >= high_reach
+    };
+    let (_, depth_reach) = range(&[0.0; 3], 1.0);
+    depth[2] > depth_reach
+        && is_between(row_u, MARGIN - warp.base[0], last[0] - MARGIN - warp.base[0])
+        && is_between(row_v, MARGIN - warp.base[1], last[1] - MARGIN - warp.base[1])
 }
 
 /// Positions of a block whose chart [`is_inside`]; those of padding are inside as well.

@@ -16,13 +16,14 @@ use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch};
 
-pub(super) use pairs::Pairs;
+pub(super) use pairs::PairsPyramid;
 pub(in crate::backend) use scan::FastScanner;
 pub(super) use template::FastLevel;
 
 use kernel::Scratch;
 use linearize::LinearScratch;
 use locate::is_inside;
+use pairs::Pairs;
 use template::Triangle;
 
 use super::Instructions;
@@ -84,6 +85,7 @@ struct Call<'a> {
 }
 
 impl Call<'_> {
+    #[inline(always)]
     fn is_inside(&self) -> bool {
         is_inside(&self.warp, self.triangle.reach, self.image)
     }
@@ -95,64 +97,75 @@ impl Call<'_> {
     }
 }
 
-impl Work<'_> {
+impl<'a> Work<'a> {
     /// Adds up the rows of a tile; all poses of a triangle while its pixels are in the cache.
     pub(super) fn accumulate(&self, tile: &Tile, rows: &mut [f64]) {
-        let mut scratch = Scratch::default();
-        let row_len = Sums::row_len(self.template.modes);
-        self.each(tile, |call, k| {
-            let row = &mut rows[k * row_len..][..row_len];
-            if call.is_inside() {
-                dispatch!(self.level, simd => add_triangle::<_, true>(simd, &call, &mut scratch, row));
-                call.add_whole(row);
-            } else {
-                dispatch!(self.level, simd => add_triangle::<_, false>(simd, &call, &mut scratch, row));
-            }
-            to_origin(&mut row[..6], call.triangle.centre);
-        });
+        dispatch!(self.level, simd => self.accumulate_by(simd, tile, rows));
     }
 
     /// The same for the rows of both orders.
     pub(super) fn linearize(&self, tile: &Tile, first: &mut [f64], second: &mut [f64]) {
+        dispatch!(self.level, simd => self.linearize_by(simd, tile, first, second));
+    }
+
+    // All of a tile in one function: what is done per triangle then has the vector instructions as well.
+
+    #[inline(always)]
+    fn accumulate_by<S: Simd>(&self, simd: S, tile: &Tile, rows: &mut [f64]) {
+        let mut scratch = Scratch::default();
+        let row_len = Sums::row_len(self.template.modes);
+        for (i, triangle) in tile.triangles.clone().enumerate() {
+            for (k, item) in tile.items.clone().enumerate() {
+                let Some(call) = self.call(triangle, item) else { continue };
+                let k = k * tile.triangles.len() + i;
+                let row = &mut rows[k * row_len..][..row_len];
+                if call.is_inside() {
+                    add_triangle::<_, true>(simd, &call, &mut scratch, row);
+                    call.add_whole(row);
+                } else {
+                    add_triangle::<_, false>(simd, &call, &mut scratch, row);
+                }
+                to_origin(&mut row[..6], call.triangle.centre);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn linearize_by<S: Simd>(&self, simd: S, tile: &Tile, first: &mut [f64], second: &mut [f64]) {
         let mut scratch = LinearScratch::default();
         let modes = self.template.modes;
         let [first_len, second_len] = [Sums::row_len(modes), Linearization::row_len(modes)];
-        self.each(tile, |call, k| {
-            let (first, second) =
-                (&mut first[k * first_len..][..first_len], &mut second[k * second_len..][..second_len]);
-            if call.is_inside() {
-                dispatch!(self.level, simd => {
-                    linearize_triangle::<_, true>(simd, &call, &mut scratch, first, second);
-                });
-                call.add_whole(first);
-            } else {
-                dispatch!(self.level, simd => {
-                    linearize_triangle::<_, false>(simd, &call, &mut scratch, first, second);
-                });
-            }
-            to_origin(&mut first[..6], call.triangle.centre);
-            second_to_origin(&mut second[..18], call.triangle.centre);
-            to_origin(&mut second[18..], call.triangle.centre);
-        });
-    }
-
-    /// Visits the triangles of a tile that take part, with the number of their row.
-    #[inline(always)]
-    fn each(&self, tile: &Tile, mut visit: impl FnMut(Call<'_>, usize)) {
-        let Self { template, request, image, .. } = *self;
-        let (all, modes) = (template.triangles.len(), template.modes);
-        for (i, t) in tile.triangles.clone().enumerate() {
-            let triangle = &template.triangles[t];
+        for (i, triangle) in tile.triangles.clone().enumerate() {
             for (k, item) in tile.items.clone().enumerate() {
-                let warp = &request.warps[item * all + t];
-                if !warp.active {
-                    continue;
+                let Some(call) = self.call(triangle, item) else { continue };
+                let k = k * tile.triangles.len() + i;
+                let (first, second) =
+                    (&mut first[k * first_len..][..first_len], &mut second[k * second_len..][..second_len]);
+                if call.is_inside() {
+                    linearize_triangle::<_, true>(simd, &call, &mut scratch, first, second);
+                    call.add_whole(first);
+                } else {
+                    linearize_triangle::<_, false>(simd, &call, &mut scratch, first, second);
                 }
-                let warp = LocalWarp::new(warp, triangle.centre);
-                let appearance = &request.appearance[item * modes..][..modes];
-                visit(Call { template, triangle, warp, appearance, image }, k * tile.triangles.len() + i);
+                to_origin(&mut first[..6], call.triangle.centre);
+                second_to_origin(&mut second[..18], call.triangle.centre);
+                to_origin(&mut second[18..], call.triangle.centre);
             }
         }
+    }
+
+    /// A triangle at a pose, if it takes part.
+    #[inline(always)]
+    fn call(&self, triangle: usize, item: usize) -> Option<Call<'a>> {
+        let Self { template, request, image, .. } = *self;
+        let warp = &request.warps[item * template.triangles.len() + triangle];
+        if !warp.active {
+            return None;
+        }
+        let triangle = &template.triangles[triangle];
+        let warp = LocalWarp::new(warp, triangle.centre);
+        let appearance = &request.appearance[item * template.modes..][..template.modes];
+        Some(Call { template, triangle, warp, appearance, image })
     }
 }
 

@@ -3,6 +3,41 @@
 use image::GrayImage;
 
 use crate::backend::SATURATED;
+use crate::imaging::pyramid::downsample_into;
+
+/// The pyramid of a frame as pairs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PairsPyramid {
+    levels: Vec<Pairs>,
+    /// The images of all levels but the first, which nobody needs after [`Self::rebuild`].
+    halves: Vec<GrayImage>,
+}
+
+impl PairsPyramid {
+    /// Builds `count` levels (at least one) from a full-size image in the memory of the last one.
+    pub(crate) fn rebuild(&mut self, image: &GrayImage, count: usize) {
+        let count = count.max(1);
+        self.levels.resize_with(count, Pairs::default);
+        self.halves.resize_with(count - 1, GrayImage::default);
+        let mut upper = image;
+        self.levels[0].fill(upper);
+        for (pairs, half) in self.levels[1..].iter_mut().zip(&mut self.halves) {
+            downsample_into(upper, half);
+            pairs.fill(half);
+            upper = half;
+        }
+    }
+
+    /// The image of a level.
+    pub(crate) fn level(&self, level: usize) -> &Pairs {
+        &self.levels[level]
+    }
+
+    /// Number of levels; 0 before the first frame.
+    pub(crate) fn len(&self) -> usize {
+        self.levels.len()
+    }
+}
 
 /// Rows of vertical pairs: pixel (x, y) is followed by pixel (x, y + 1), so that one load of 4 bytes brings all that
 /// bilinear sampling needs.
@@ -17,7 +52,7 @@ pub(crate) struct Pairs {
 
 impl Pairs {
     /// Takes over an image. Keeps its memory.
-    pub(crate) fn fill(&mut self, image: &GrayImage) {
+    fn fill(&mut self, image: &GrayImage) {
         (self.width, self.height) = image.dimensions();
         self.is_saturated = image.iter().any(|value| *value >= SATURATED);
         let stride = self.width as usize;
