@@ -160,11 +160,13 @@ fn two_fifths_of_the_object_covered_by_something_strong() {
 }
 
 /// Half of the triangles are covered at least in part, and clutter leads the coarse levels astray. With `AAM6D_FIGURES=1` six
-/// textures, whole sequences.
+/// textures from `AAM6D_SEED` (1) on, whole sequences.
 #[test]
 fn two_fifths_of_another_texture_covered() {
     let all = std::env::var_os("AAM6D_FIGURES").is_some();
-    let cases = if all { (1..=6).flat_map(|seed| [(seed, 1), (seed, 2)]).collect() } else { vec![(2, 1)] };
+    let first = std::env::var("AAM6D_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or(1);
+    let cases =
+        if all { (first..first + 6).flat_map(|seed| [(seed, 1), (seed, 2)]).collect() } else { vec![(2, 1)] };
     for (seed, number) in cases {
         let options = SequenceOptions { seed, sequence: number, ..SequenceOptions::default() };
         let training = SequenceOptions { sequence: 3 - number, ..options };

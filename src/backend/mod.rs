@@ -11,9 +11,9 @@ mod local;
 pub mod scanning;
 mod sums;
 pub mod templates;
+mod warp;
 
 use image::GrayImage;
-use nalgebra::Matrix3;
 
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -24,50 +24,11 @@ pub use gpu::{AdapterSelection, AdapterSummary, GpuBackend, adapters};
 pub use linearization::{LinearRow, Linearization};
 pub use sums::{Sums, SumsRow};
 pub use templates::{ScanPeak, ScanPoint, ScanRequest, ScanTemplates};
+pub use warp::{SATURATED, SATURATED_SHARE, TEMPLATE_BLUR, TriangleWarp};
 
 /// A model loaded into a backend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ModelId(pub(crate) usize);
-
-/// The warp of one triangle at one pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TriangleWarp {
-    /// 3x3 from chart position (u, v, 1), relative to the chart's origin, to the homogeneous image position in the
-    /// frame's level image.
-    pub image_from_chart: Matrix3<f64>,
-    /// What sampling the frame bilinearly adds to the template at fractions f of a pixel: the sum over k = u, v of
-    /// (f_k (1 - f_k) - [`TEMPLATE_BLUR`]) `blur[k]` . (d2T/du2, d2T/du dv, d2T/dv2).
-    pub blur: [[f64; 3]; 2],
-    /// What saturated pixels would show beyond the template with its modes and blur: `light[0]` T0 + `light[1]`, grey levels. They
-    /// are taken for that bright as far as [`SATURATED_SHARE`] says, and a pixel that lacks a grey level is not counted.
-    pub light: [f64; 2],
-    /// False leaves the triangle out: its sums are zero.
-    pub active: bool,
-}
-
-/// Variance (square pixels) of the blur that a template has already: between that of a template of one image and the 1/6 of a mean
-/// of many that were sampled bilinearly.
-pub const TEMPLATE_BLUR: f64 = 1.0 / 12.0;
-/// Grey level from which on a pixel of the frame counts as saturated.
-pub const SATURATED: u8 = 254;
-/// Share of the bilinear weights from which on a position is as saturated as the pixels around it; below in proportion, so that
-/// nothing jumps where a position crosses a pixel.
-pub const SATURATED_SHARE: f64 = 0.25;
-
-impl TriangleWarp {
-    /// [`Self::light`] below every grey level: what is saturated stays as it is.
-    pub const UNKNOWN_LIGHT: [f64; 2] = [0.0, -1e6];
-
-    /// A warp into a frame that is compared with the template as it is.
-    pub fn plain(image_from_chart: Matrix3<f64>) -> Self {
-        Self { image_from_chart, blur: [[0.0; 3]; 2], light: Self::UNKNOWN_LIGHT, active: true }
-    }
-
-    /// A triangle that is left out.
-    pub fn idle() -> Self {
-        Self { active: false, ..Self::plain(Matrix3::zeros()) }
-    }
-}
 
 /// One call of the `accumulate` or `linearize` stage: many poses of one model against the current frame.
 #[derive(Debug, Clone, Copy)]

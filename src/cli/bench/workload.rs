@@ -73,11 +73,12 @@ impl Workload {
         Ok(Model { levels, ..self.model.clone() })
     }
 
-    /// Warps of all triangles of the full size at the true pose of the first frame.
+    /// Warps of all triangles of the full size at the true pose of the first frame, blurred as a tracker's are.
     pub(super) fn warps(&self, model: &Model) -> Vec<TriangleWarp> {
         let warp = |g: &Option<crate::model::ChartGeometry>| {
             g.as_ref().map_or_else(TriangleWarp::idle, |g| {
-                TriangleWarp::plain(homography(&self.camera, &self.poses[0], &g.object_from_chart))
+                let warp = homography(&self.camera, &self.poses[0], &g.object_from_chart);
+                TriangleWarp::plain(warp).blurred(&g.centroid(), 0.0)
             })
         };
         model.levels[0].geometry.iter().map(warp).collect()
