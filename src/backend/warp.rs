@@ -43,7 +43,8 @@ impl TriangleWarp {
     /// has no inverse.
     #[must_use]
     pub fn blurred(mut self, at: &Point2<f64>, gain: f64) -> Self {
-        if let Some(inverse) = warp_jacobian(&self.image_from_chart, at).try_inverse() {
+        let inverse = warp_jacobian(&self.image_from_chart, at).try_inverse();
+        if let Some(inverse) = inverse.filter(|m| m.iter().all(|x| x.is_finite())) {
             let half = (1.0 + gain) / 2.0;
             self.blur = [0, 1].map(|axis| {
                 let (u, v) = (inverse[(0, axis)], inverse[(1, axis)]);
