@@ -1,18 +1,19 @@
 //! Does each stage give the same on the CPU and on the device? Every comparison has a control that must be noticed.
 
+#[path = "parity/scan.rs"]
+mod scan;
 mod support;
 
 use std::process::ExitCode;
 
 use aam6d::backend::cpu::downsample::downsample;
 use aam6d::backend::gpu::{GpuOptions, PyramidPlace};
-use aam6d::backend::{Backend, CpuBackend, ScanPeak};
+use aam6d::backend::{Backend, TriangleWarp};
 use libtest_mimic::Failed;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use support::gpu::{linearization, open, shared, sums, trial};
 use support::linear::LinearReference;
-use support::scan::{ScanScene, compare_peaks};
 use support::sums::Reference;
 use support::{Scene, compare_images, image};
 
@@ -46,16 +47,15 @@ fn main() -> ExitCode {
         trial("linearize/split", split_linearizations_are_equal),
         trial("accumulate/control_warp", a_moved_warp_is_noticed),
         trial("accumulate/control_pixel", a_changed_pixel_is_noticed),
-        trial("accumulate/control_blur", a_changed_blur_is_noticed),
-        trial("accumulate/control_light", a_changed_light_is_noticed),
+        trial("accumulate/control_rendering", other_blur_and_light_are_noticed),
         trial("accumulate/control_frame", a_changed_frame_is_noticed),
         trial("accumulate/many_chunks", more_chunks_than_groups_agree),
         trial("accumulate/split", split_batches_are_equal),
         trial("accumulate/repeats", two_runs_are_equal),
         trial("accumulate/levels", every_level_sees_its_own_image),
-        trial("scan/device", scan_agrees),
-        trial("scan/fast", fast_scan_agrees),
-        trial("scan/control", a_changed_template_is_noticed),
+        trial("scan/device", scan::scan_agrees),
+        trial("scan/fast", scan::fast_scan_agrees),
+        trial("scan/control", scan::a_changed_template_is_noticed),
         trial("downsample/device", || downsample_agrees(PyramidPlace::Device)),
         trial("downsample/host", || downsample_agrees(PyramidPlace::Host)),
         trial("downsample/control", a_changed_image_is_noticed),
@@ -172,22 +172,16 @@ fn overexposed_frames_agree() -> Result<(), Failed> {
     Ok(())
 }
 
-fn a_changed_blur_is_noticed() -> Result<(), Failed> {
-    let scene = Scene::new(15, 257, 4, 1);
-    for k in 0..6 {
-        let mut disturbed = scene.clone();
-        disturbed.warps[0].blur.as_flattened_mut()[k] += 0.05;
-        must_differ(&scene, &disturbed)?;
-    }
-    Ok(())
-}
-
-fn a_changed_light_is_noticed() -> Result<(), Failed> {
+/// Every factor of the blur, gain and bias of what is saturated.
+fn other_blur_and_light_are_noticed() -> Result<(), Failed> {
     let scene = Scene::new(16, 257, 4, 1).overexposed();
-    for (k, change) in [(0, 0.01), (1, 1.0)] {
+    for k in 0..8 {
         let mut disturbed = scene.clone();
-        disturbed.warps[0].light[k] += change;
-        must_differ(&scene, &disturbed)?;
+        let TriangleWarp { blur, light, .. } = &mut disturbed.warps[0];
+        let number = blur.as_flattened_mut().iter_mut().chain(light).nth(k).ok_or("eight numbers")?;
+        *number += [0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.01, 1.0][k];
+        must_differ(&scene, &disturbed)
+            .map_err(|e| format!("number {k}: {}", e.message().unwrap_or_default()))?;
     }
     Ok(())
 }
@@ -236,54 +230,6 @@ fn every_level_sees_its_own_image() -> Result<(), Failed> {
     let mut sums = Default::default();
     gpu.accumulate(&aam6d::backend::Request { image_level: 1, ..scene.request(model) }, &mut sums)?;
     Ok(Reference::new(&scene).compare(&scene, &sums)?)
-}
-
-/// Sizes around that of a tile, of a run of vectors and of a workgroup, with one template and with many.
-const SCANNED: [(usize, usize, usize); 5] = [(80, 60, 40), (21, 19, 3), (20, 20, 1), (161, 7, 9), (1, 1, 2)];
-
-fn peaks(backend: &mut dyn Backend, scene: &ScanScene) -> Result<Vec<ScanPeak>, Failed> {
-    let mut peaks = Vec::new();
-    backend.scan(&scene.request(), &mut peaks)?;
-    Ok(peaks)
-}
-
-fn scan_agrees() -> Result<(), Failed> {
-    let mut gpu = open(GpuOptions { as_software: Some(false), ..GpuOptions::default() });
-    for (seed, (width, height, templates)) in (40..).step_by(2).zip(SCANNED) {
-        let scene = ScanScene::new(seed, width, height, templates);
-        let expected = peaks(&mut CpuBackend::twin(), &scene)?;
-        compare_peaks(&expected, &peaks(&mut gpu, &scene)?).map_err(|e| format!("{width}x{height}: {e}"))?;
-    }
-    Ok(())
-}
-
-fn fast_scan_agrees() -> Result<(), Failed> {
-    for (seed, (width, height, templates)) in (40..).step_by(2).zip(SCANNED) {
-        let scene = ScanScene::new(seed, width, height, templates);
-        let expected = peaks(&mut CpuBackend::twin(), &scene)?;
-        let found = peaks(&mut CpuBackend::new(), &scene)?;
-        compare_peaks(&expected, &found).map_err(|e| format!("{width}x{height}: {e}"))?;
-    }
-    Ok(())
-}
-
-/// A single point of a template moved by a pixel.
-fn a_changed_template_is_noticed() -> Result<(), Failed> {
-    let scene = ScanScene::new(60, 80, 60, 2);
-    let expected = peaks(&mut CpuBackend::twin(), &scene)?;
-    let mut moved = ScanScene::new(60, 80, 60, 2);
-    let mut points = scene.templates.get(1).0.to_vec();
-    points[0].offset[0] += 1;
-    moved.templates = Default::default();
-    moved.templates.push(scene.templates.get(0).0);
-    moved.templates.push(&points);
-    let mut gpu = open(GpuOptions { as_software: Some(false), ..GpuOptions::default() });
-    for backend in [&mut gpu as &mut dyn Backend, &mut CpuBackend::new()] {
-        if compare_peaks(&expected, &peaks(backend, &moved)?).is_ok() {
-            return Err("a moved point went unnoticed".into());
-        }
-    }
-    Ok(())
 }
 
 /// Images whose rows end within a word, on a word, on a row alignment and behind it, and images that vanish.

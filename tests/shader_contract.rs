@@ -8,6 +8,8 @@ use aam6d::backend::gpu::shaders::{
     ACCUMULATE, AdapterClass, DOWNSAMPLE, Kind, LINEARIZE, Partition, REDUCE, SCAN, Stage, TABLE_WIDTH,
     WORKGROUP_BYTES, accumulate_planes, linearize_planes,
 };
+use aam6d::backend::{SATURATED, SATURATED_SHARE, TEMPLATE_BLUR};
+use aam6d::model::steps;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Expression, ImageClass, Literal, Module, ScalarKind, StorageAccess, TypeInner};
 
@@ -172,6 +174,22 @@ fn constants_of((stage, planes): ChartStage, class: AdapterClass, mode_planes: u
         AdapterClass::Gpu => assert_eq!(value("REDUCE"), REDUCE, "REDUCE"),
         AdapterClass::Software => assert_eq!(value("TABLE_WIDTH"), TABLE_WIDTH, "TABLE_WIDTH"),
     }
+}
+
+/// The values of a shader's constants, by their text: constants that are products of others are not literals.
+#[test]
+fn numbers_of_the_template_agree() {
+    let text = ACCUMULATE.text(AdapterClass::Gpu, 1);
+    let says = |name: &str, value: String| {
+        let line = format!("const {name}: f32 = {value};");
+        assert!(text.contains(&line), "the shader has no `{line}`");
+    };
+    says("TEMPLATE_BLUR", format!("1.0 / {:?}", 1.0 / TEMPLATE_BLUR));
+    says("SATURATED", format!("{:?}", f32::from(SATURATED)));
+    says("SATURATED_SHARE", format!("{SATURATED_SHARE:?}"));
+    says("SIGNED_STEP", format!("1.0 / {:?}", 1.0 / steps::SIGNED));
+    says("INTENSITY_STEP", format!("1.0 / {:?}", 1.0 / steps::INTENSITY));
+    says("WEIGHT_STEP", format!("1.0 / {:?}", 1.0 / steps::WEIGHT));
 }
 
 #[test]

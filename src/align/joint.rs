@@ -190,11 +190,7 @@ impl Joint {
         let estimate = PoseEstimate {
             camera_from_object: self.steps.state.pose,
             appearance: self.steps.state.appearance.clone(),
-            covariance: covariance(
-                &self.equations,
-                self.steps.response().min(self.equations.unsaturated),
-                solver,
-            ),
+            covariance: covariance(&self.equations, self.steps.response(self.equations.unsaturated), solver),
             hessian: self.equations.pose_hessian(solver),
             rms: if self.equations.cost.is_finite() { self.equations.cost.max(0.0).sqrt() } else { 0.0 },
             iterations: self.steps.total,
@@ -218,8 +214,10 @@ impl NormalEquations {
         reset_matrix(&mut self.hessian, n, n);
         reset_matrix(&mut self.scatter, n, n);
         reset_vector(&mut self.gradient, n);
-        (self.triangles, self.displacement, self.unsaturated) = (0, Matrix6::zeros(), 1.0);
+        (self.triangles, self.displacement) = (0, Matrix6::zeros());
         (self.cost, self.weight) = total_cost(parts.clone().map(|p| (p.cost, p.weight)));
+        let unsaturated: f64 = parts.clone().map(|p| p.weight * p.unsaturated).sum();
+        self.unsaturated = if self.weight > 0.0 { unsaturated / self.weight } else { 1.0 };
         for part in parts {
             self.hessian += &part.hessian;
             self.scatter += &part.scatter;
@@ -227,7 +225,6 @@ impl NormalEquations {
             #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]
             let triangles = part.triangles as f64;
             self.displacement += part.displacement * triangles;
-            self.unsaturated = self.unsaturated.min(part.unsaturated);
             self.triangles += part.triangles;
         }
         #[expect(clippy::cast_precision_loss, reason = "triangle counts are small")]

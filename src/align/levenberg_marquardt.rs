@@ -139,10 +139,12 @@ impl Steps {
     }
 
     /// How much the gradient of this level changes with the pose, in units of what JtQJ says (0.3..1): a step should take all
-    /// of it away. Noise in the template makes JtQJ too large, and so does an image more blurred than the template.
-    pub(super) fn response(&self) -> f64 {
+    /// of it away. Noise in the template makes JtQJ too large, and so does an image more blurred than the template; what is saturated,
+    /// all but a share `unsaturated`, does not change with the pose.
+    pub(super) fn response(&self, unsaturated: f64) -> f64 {
         let [before, after] = self.along;
-        if before < 0.0 { ((before - after) / before).clamp(MIN_RESPONSE, 1.0) } else { 1.0 }
+        let measured = if before < 0.0 { (before - after) / before } else { 1.0 };
+        measured.min(unsaturated).clamp(MIN_RESPONSE, 1.0)
     }
 
     /// The state to evaluate next.
@@ -180,8 +182,7 @@ impl Descent {
     /// Where the last level ended.
     pub(super) fn ended(&self) -> End<'_> {
         let (Steps { total, converged, .. }, equations) = (&self.steps, &self.look.equations);
-        // What is saturated does not change with the pose.
-        let response = self.steps.response().min(equations.unsaturated);
+        let response = self.steps.response(equations.unsaturated);
         End { sight: self.here(), equations, iterations: *total, converged: *converged, response }
     }
 

@@ -264,7 +264,8 @@ fn mean_cost(rows: &Rows<'_>, s: &[f64], solutions: &[Solution], appearance: &[f
     if weight > 0.0 { ((squares - reduction + prior) / weight, weight) } else { (f64::INFINITY, 0.0) }
 }
 
-/// Share of the pixels inside the image that count, by the triangles' weights.
+/// Share of the pixels inside the image that count, by the triangles' weights; of a triangle cut by the border as many are inside as
+/// its share by weight says.
 fn unsaturated(level: &LevelTemplate, rows: &Rows<'_>, s: &[f64]) -> f64 {
     let (mut counted, mut all) = (0.0, 0.0);
     for (t, s) in s.iter().enumerate().filter(|(_, s)| **s > 0.0) {

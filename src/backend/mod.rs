@@ -168,7 +168,8 @@ pub trait Backend: Send {
     fn accumulate(&mut self, request: &Request<'_>, sums: &mut Sums) -> Result<()>;
 
     /// As [`Self::accumulate`] with the gradient of the frame at the warped position in place of the template's,
-    /// and with the second-order sums that make JtQJ of J = grad I(W) D.
+    /// and with the second-order sums that make JtQJ of J = grad I(W) D. The template is compared as it is: blur and light of the
+    /// warps are not looked at.
     ///
     /// # Errors
     /// As [`Self::accumulate`].

@@ -100,7 +100,7 @@ impl LevelTemplate {
         pixels: Pixels,
         charts: Vec<Chart>,
     ) -> Result<Self> {
-        check(shape, views, &pixels, &charts).map_err(|problem| {
+        check(shape, (views, level), &pixels, &charts).map_err(|problem| {
             Error::invalid(format!("template level {level}"), problem, "train the model again")
         })?;
         let pixels = pixels.rounded();
@@ -135,7 +135,12 @@ impl LevelTemplate {
     }
 }
 
-fn check(shape: &Shape, views: &[View], pixels: &Pixels, charts: &[Chart]) -> Result<(), String> {
+fn check(
+    shape: &Shape,
+    (views, level): (&[View], usize),
+    pixels: &Pixels,
+    charts: &[Chart],
+) -> Result<(), String> {
     let n = pixels.len();
     let lengths = [pixels.gradient.len(), pixels.intensity.len(), pixels.weight.len()];
     if lengths.iter().chain(&pixels.modes.iter().map(Vec::len).collect::<Vec<_>>()).any(|&l| l != n) {
@@ -149,11 +154,26 @@ fn check(shape: &Shape, views: &[View], pixels: &Pixels, charts: &[Chart]) -> Re
     {
         return Err(format!("the chart of triangle {t} points outside the template"));
     }
+    if let Some(t) =
+        charts.iter().position(|c| !c.is_empty() && !is_inside(&views[c.view as usize], level, pixels, c))
+    {
+        return Err(format!("the chart of triangle {t} reaches beyond the image of its view"));
+    }
     let numbers = pixels.intensity.iter().chain(&pixels.weight).chain(pixels.gradient.as_flattened());
     if numbers.chain(pixels.modes.iter().flatten()).any(|v| !v.is_finite()) {
         return Err("a number is not finite".into());
     }
     Ok(())
+}
+
+/// Are all pixels of a chart in the image of its view?
+fn is_inside(view: &View, level: usize, pixels: &Pixels, chart: &Chart) -> bool {
+    let camera = view.camera.at_level(level);
+    let [width, height] = [camera.width, camera.height].map(u64::from);
+    let [u, v] = chart.origin.map(u64::from);
+    pixels.position[chart.range()]
+        .iter()
+        .all(|position| u + u64::from(position[0]) < width && v + u64::from(position[1]) < height)
 }
 
 /// A trained object: what [`crate::track::Tracker`] needs, and what a model file holds.
@@ -175,5 +195,45 @@ impl Model {
     /// Number of appearance modes l.
     pub fn modes(&self) -> usize {
         self.levels.first().map_or(0, |l| l.pixels.modes.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::geometry::TriangleMesh;
+
+    /// A file may say anything, and what follows from a chart takes memory for all that lies between its pixels.
+    #[test]
+    fn charts_beyond_the_image_of_their_view_are_refused() {
+        let vertices = vec![Point3::origin(), Point3::new(0.0, 0.1, 0.0), Point3::new(0.1, 0.0, 0.0)];
+        let mesh = TriangleMesh { vertices, triangles: vec![[0, 1, 2]] };
+        let shape = Shape::from_mesh(&mesh, f64::INFINITY, |a, b| (a - b).norm()).expect("a mesh");
+        let camera = Camera::pinhole(100.0, 100.0, 31.5, 23.5, 64, 48);
+        let away = Pose::from_params(&nalgebra::Vector6::new(0.0, 0.0, 1.0, 0.0, 0.0, 0.0));
+        let views = [View { camera, camera_from_object: away }];
+        let level = |level, origin| {
+            let pixels = Pixels {
+                position: vec![[0, 0], [1, 0]],
+                gradient: vec![[1.0, 2.0]; 2],
+                intensity: vec![100.0; 2],
+                weight: vec![1.0; 2],
+                modes: Vec::new(),
+            };
+            LevelTemplate::new(
+                &shape,
+                &views,
+                level,
+                pixels,
+                vec![Chart { view: 0, origin, start: 0, end: 2 }],
+            )
+        };
+        assert!(level(0, [62, 47]).is_ok() && level(1, [30, 23]).is_ok(), "the last pixels");
+        for (number, origin) in [(0, [63, 0]), (0, [0, 48]), (1, [31, 0]), (0, [u32::MAX, 0])] {
+            let refused = level(number, origin).expect_err("outside").to_string();
+            assert!(refused.contains("triangle 0 reaches beyond the image"), "{refused}");
+        }
     }
 }

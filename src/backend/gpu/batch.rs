@@ -76,9 +76,10 @@ impl Sizes {
 /// [`crate::Error::AdapterTooSmall`] if not even one fits the device.
 pub(super) fn max_items(context: &Context, level: &DeviceLevel, planes: u32, limit: u64) -> Result<usize> {
     let one = Sizes::new(level, planes, 1);
-    context.require("warps of one pose (bytes)", one.warps)?;
+    let most = most_bytes(context, level.partition.class);
+    context.require_below("warps of one pose (bytes)", one.warps, most)?;
     context.require("sums of one pose (bytes)", one.sums)?;
-    let items = limit / one.warps.max(one.sums).max(one.appearance).max(1);
+    let items = limit.min(most) / one.warps.max(one.sums).max(one.appearance).max(1);
     Ok(usize::try_from(items.clamp(1, u64::from(MAX_GROUPS))).unwrap_or(1))
 }
 
