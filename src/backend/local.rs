@@ -45,9 +45,8 @@ impl LocalWarp {
             for i in 0..3 {
                 rows[i][j] = (h[(i, j)] - base[i] * h[(2, j)]) as f32;
             }
-            for k in 0..2 {
-                blur[k][j] = warp.blur[k][j] as f32 * steps[j];
-            }
+            blur[0][j] = warp.blur[0][j] as f32 * steps[j];
+            blur[1][j] = warp.blur[1][j] as f32 * steps[j];
         }
         let light = [warp.light[0] as f32, warp.light[1] as f32];
         Self { rows, base: [base[0] as f32, base[1] as f32], blur, light }

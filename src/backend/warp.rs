@@ -10,8 +10,8 @@ pub struct TriangleWarp {
     /// 3x3 from chart position (u, v, 1), relative to the chart's origin, to the homogeneous image position in the
     /// frame's level image.
     pub image_from_chart: Matrix3<f64>,
-    /// What sampling the frame bilinearly adds to the template at fractions f of a pixel: the sum over k = u, v of
-    /// (f_k (1 - f_k) - [`TEMPLATE_BLUR`]) `blur[k]` . (d2T/du2, d2T/du dv, d2T/dv2).
+    /// What sampling the frame bilinearly adds to the template: with `f` the fractions of the position, the sum over the axes k = u, v
+    /// of `(f[k] (1 - f[k]) - TEMPLATE_BLUR) blur[k] . (d2T/du2, d2T/du dv, d2T/dv2)`.
     pub blur: [[f64; 3]; 2],
     /// What saturated pixels would show beyond the template with its modes and blur: `light[0]` T0 + `light[1]`, grey levels. They
     /// are taken for that bright as far as [`SATURATED_SHARE`] says, and a pixel that lacks a grey level is not counted.

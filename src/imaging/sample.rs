@@ -7,7 +7,7 @@ use image::GrayImage;
 pub struct Patch {
     /// Grey values: upper left, upper right, lower left, lower right.
     pub values: [f64; 4],
-    /// Fractions (f_u, f_v) of the position, 0..1: how far it is from the upper left pixel.
+    /// Fractions of the position along u and v, 0..1: how far it is from the upper left pixel.
     pub fraction: [f64; 2],
 }
 
