@@ -14,7 +14,6 @@ use crate::align::Method;
 use crate::backend::cpu::downsample::downsample;
 use crate::backend::{Backend, CpuBackend, Linearization, ModelId, Request};
 use crate::error::Result;
-use crate::eval::statistics::median;
 use crate::model::Model;
 use crate::track::Tracker;
 
@@ -183,57 +182,6 @@ pub(super) fn passes(
 
 fn image_pixels(image: &GrayImage) -> f64 {
     f64::from(image.width()) * f64::from(image.height())
-}
-
-/// Loading a model, warm-up included.
-#[derive(Debug, Serialize)]
-pub(super) struct LoadFigures {
-    pub(super) backend: String,
-    pub(super) modes: usize,
-    pub(super) open_and_load: Times,
-}
-
-/// Tracking one stream.
-#[derive(Debug, Serialize)]
-pub(super) struct FrameFigures {
-    pub(super) method: Method,
-    pub(super) backend: String,
-    pub(super) modes: usize,
-    /// Median over the frames.
-    pub(super) per_frame: Times,
-    pub(super) iterations: f64,
-    pub(super) lost: usize,
-}
-
-/// Tracks all frames of the workload.
-#[expect(clippy::cast_precision_loss, reason = "small counts")]
-pub(super) fn frames(
-    workload: &Workload,
-    model: &Model,
-    candidate: &Candidate,
-    method: Method,
-) -> Result<(LoadFigures, FrameFigures)> {
-    let modes = model.modes();
-    let (tracker, open_and_load) = timed(|| tracker(workload, model, candidate, method));
-    let mut tracker = tracker?;
-    tracker.start_at(workload.poses[0]);
-    let (mut cpu, mut wall, mut iterations, mut lost) = (Vec::new(), Vec::new(), 0, 0);
-    for image in &workload.images {
-        let (tracked, times) = timed(|| tracker.track(image));
-        let tracked = tracked?;
-        cpu.push(times.cpu_ms);
-        wall.push(times.wall_ms);
-        iterations += tracked.estimate.iterations;
-        lost += usize::from(!tracked.status.has_pose());
-    }
-    let [cpu_ms, wall_ms] = [&cpu, &wall].map(|times| median(times).unwrap_or(f64::NAN));
-    let backend = tracker.backend_name();
-    let iterations = iterations as f64 / workload.images.len() as f64;
-    let load = LoadFigures { backend: backend.clone(), modes, open_and_load };
-    Ok((
-        load,
-        FrameFigures { method, backend, modes, per_frame: Times { cpu_ms, wall_ms }, iterations, lost },
-    ))
 }
 
 pub(super) fn tracker(

@@ -1,6 +1,7 @@
 //! `aam6d bench`: time per pixel, per frame and per pose on every backend, beside what the memory allows.
 
 mod bandwidth;
+mod frames;
 mod machine;
 mod measure;
 mod report;
@@ -14,8 +15,9 @@ use serde::Serialize;
 use super::summary::JsonArg;
 use crate::align::Method;
 use crate::dataset::write_atomically;
+use frames::{FrameFigures, LoadFigures};
 use machine::Machine;
-use measure::{Candidate, FrameFigures, LoadFigures, PassFigures, ThroughputFigures};
+use measure::{Candidate, PassFigures, ThroughputFigures};
 use streams::StreamFigures;
 use workload::Workload;
 
@@ -101,17 +103,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     for modes in MODES {
         let model = workload.model(modes, PIXELS)?;
         summary.passes.push(one.install(|| measure::passes(&workload, &model, &candidates, effort))?);
-        for candidate in &candidates {
-            let method = Method::default();
-            let (load, frame) = one.install(|| measure::frames(&workload, &model, candidate, method))?;
-            summary.loads.push(load);
+        let compared = [Method::default(), Method::ForwardAdditive];
+        let methods = if modes == STANDARD_MODES { &compared[..] } else { &compared[..1] };
+        for (load, frame) in one.install(|| frames::frames(&workload, &model, &candidates, methods))? {
+            summary.loads.extend((frame.method == Method::default()).then_some(load));
             summary.frames.push(frame);
         }
-    }
-    for candidate in &candidates {
-        let method = Method::ForwardAdditive;
-        let (_, frame) = one.install(|| measure::frames(&workload, &standard, candidate, method))?;
-        summary.frames.push(frame);
     }
     for pixels in SIZES {
         let model = workload.model(STANDARD_MODES, pixels)?;
