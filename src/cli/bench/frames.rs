@@ -1,4 +1,4 @@
-//! Frames of one stream: all candidates and methods in turns, frame by frame.
+//! Frames of one stream: all candidates and methods in turns, sequence by sequence, as nobody tracks with other data in the cache.
 
 use serde::Serialize;
 
@@ -96,8 +96,8 @@ pub(super) fn frames(
         }
     }
     for _ in 0..PASSES {
-        for frame in 0..workload.images.len() {
-            runs.iter_mut().try_for_each(|run| run.track(workload, frame))?;
+        for run in &mut runs {
+            (0..workload.images.len()).try_for_each(|frame| run.track(workload, frame))?;
         }
     }
     Ok(runs.iter().map(|run| run.figures(model.modes())).collect())

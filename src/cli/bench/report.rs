@@ -98,8 +98,8 @@ fn sizes(text: &mut String, summary: &Summary) -> std::fmt::Result {
 fn frames(text: &mut String, summary: &Summary) -> std::fmt::Result {
     writeln!(
         text,
-        "\n## One stream\n\nMedian over the frames, all three levels, from image to pose; CPU backends on one thread. Backends and methods take turns frame\n\
-         by frame, five times; the best time of every frame counts.\n\n\
+        "\n## One stream\n\nMedian over the frames, all three levels, from image to pose; CPU backends on one thread. Backends and methods take turns,\n\
+         a whole sequence each, five times; the best time of every frame counts.\n\n\
          | method | backend | l | CPU ms | wall ms | iterations | lost |\n|---|---|---|---|---|---|---|"
     )?;
     for f in &summary.frames {
