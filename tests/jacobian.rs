@@ -77,7 +77,7 @@ fn normal_equations(pose: &Pose, image: &GrayImage) -> (Matrix6<f64>, Vector6<f6
     let mean = pixels.iter().map(|p| p.weight * p.intensity).sum::<f64>() / weight;
     let residual = |p: &Pixel<'_>| {
         let w = p.image(pose);
-        p.intensity - bilinear(image, w.x, w.y).expect("inside the image")
+        p.sampled(pose) - bilinear(image, w.x, w.y).expect("inside the image")
     };
     let (mut h, mut g) = (SMatrix::<f64, 8, 8>::zeros(), SVector::<f64, 8>::zeros());
     for p in &pixels {

@@ -2,13 +2,14 @@
 
 use std::sync::LazyLock;
 
+use aam6d::backend::TEMPLATE_BLUR;
 use aam6d::geometry::raster::{facing, visible_shares};
 use aam6d::geometry::warp::{apply, homography, increment_jacobian, warp_jacobian};
 use aam6d::geometry::{Camera, Pose};
 use aam6d::model::{ChartGeometry, Model};
 use aam6d::simulate::{Renderer, SceneKind};
 use aam6d::train::{TrainOptions, TrainingImage, train};
-use nalgebra::{Matrix2x6, Matrix3, Point2, Point3, RowVector6, Vector3, Vector6};
+use nalgebra::{Matrix2, Matrix2x6, Matrix3, Point2, Point3, RowVector6, Vector3, Vector6};
 
 /// Steps of the central differences: metres and radians.
 const STEP: [f64; 6] = [1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6];
@@ -53,6 +54,8 @@ pub(crate) struct Pixel<'a> {
     pub(crate) point: Point3<f64>,
     pub(crate) gradient: [f64; 2],
     pub(crate) intensity: f64,
+    /// Second differences of the intensity: uu, uv, vv.
+    curvature: [f64; 3],
     /// Weight q times the visible share of the triangle.
     pub(crate) weight: f64,
 }
@@ -76,6 +79,7 @@ pub(crate) fn pixels(pose: &Pose, stride: usize) -> Vec<Pixel<'static>> {
                 point: Point3::from(x.xyz() / x.w),
                 gradient: level.pixels.gradient[p].map(f64::from),
                 intensity: level.pixels.intensity[p].into(),
+                curvature: level.curvature[p].map(f64::from),
                 weight: shares[t] * f64::from(level.pixels.weight[p]),
             });
         }
@@ -101,6 +105,19 @@ impl Pixel<'_> {
     pub(crate) fn motion(&self, pose: &Pose) -> Matrix2x6<f64> {
         let a = warp_jacobian(&self.warp(pose), &self.position);
         a.try_inverse().expect("not edge-on") * self.d(pose)
+    }
+
+    /// The intensity as sampling at a pose shows it, in the light of the template.
+    pub(crate) fn sampled(&self, pose: &Pose) -> f64 {
+        let [uu, uv, vv] = self.curvature;
+        let inverse = warp_jacobian(&self.warp(pose), &self.position).try_inverse().expect("not edge-on");
+        let second = inverse.transpose() * Matrix2::new(uu, uv, uv, vv) * inverse;
+        let image = self.image(pose);
+        let blur = |k: usize| {
+            let f = image[k] - image[k].floor();
+            (f * (1.0 - f) - TEMPLATE_BLUR) / 2.0 * second[(k, k)]
+        };
+        self.intensity + blur(0) + blur(1)
     }
 
     pub(crate) fn row(&self, motion: &Matrix2x6<f64>) -> RowVector6<f64> {
