@@ -4,7 +4,7 @@
 /// Planes of sums: the row of `backend::Sums` with its first 11 numbers padded to 12, then the modes.
 const SUM_PLANES: u32 = 3u + MODE_PLANES;
 
-/// As in `src/backend/mod.rs`: the blur that the template has already, square pixels; the grey level from which on a pixel is
+/// As in `src/backend/warp.rs`: the blur that the template has already, square pixels; the grey level from which on a pixel is
 /// saturated; the share of weights from which on a position is.
 const TEMPLATE_BLUR: f32 = 1.0 / 12.0;
 const SATURATED: f32 = 254.0;

@@ -117,7 +117,7 @@ pub(super) fn score(
     let (mut evaluation, mut worker, mut found) =
         (Evaluation::default(), Worker::default(), Score::default());
     let (targets, workers) = (std::slice::from_ref(target), std::slice::from_mut(&mut worker));
-    let sights = std::iter::once(Sight { frame: 0, state, visibility, light: &[] });
+    let sights = std::iter::once(Sight::new(state, visibility));
     scores(backend, targets, sights, std::iter::once(&mut found), &mut evaluation, workers)?;
     Ok(found)
 }
@@ -132,6 +132,13 @@ pub(super) struct Sight<'s> {
     pub(super) visibility: &'s [f64],
     /// Light on each triangle; empty where it is not known.
     pub(super) light: &'s [Light],
+}
+
+impl<'s> Sight<'s> {
+    /// In the first target's frame, in light that is not known.
+    pub(super) fn new(state: &'s State, visibility: &'s [f64]) -> Self {
+        Self { frame: 0, state, visibility, light: &[] }
+    }
 }
 
 /// What the stages are given and what they hand back.
@@ -180,7 +187,7 @@ impl<'a> Evaluator<'a> {
 
     /// Stage `accumulate`.
     pub(super) fn evaluate<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) -> Result<()> {
-        self.encode(sights);
+        self.encode(sights, self.problem.number == 0);
         let began = Instant::now();
         let (request, out, spent_ms) = self.memory.request(self.targets[0].id, self.problem);
         self.backend.accumulate(&request, &mut out.sums)?;
@@ -190,7 +197,7 @@ impl<'a> Evaluator<'a> {
 
     /// Stage `linearize`.
     pub(super) fn linearize<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) -> Result<()> {
-        self.encode(sights);
+        self.encode(sights, false);
         let began = Instant::now();
         let (request, out, spent_ms) = self.memory.request(self.targets[0].id, self.problem);
         self.backend.linearize(&request, out)?;
@@ -198,8 +205,8 @@ impl<'a> Evaluator<'a> {
         Ok(())
     }
 
-    /// Fills frames, warps and appearance.
-    fn encode<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone) {
+    /// Fills frames, warps and appearance; with `is_blurred` the template is blurred as the frame is, which is for full size.
+    fn encode<'s>(&mut self, sights: impl Iterator<Item = Sight<'s>> + Clone, is_blurred: bool) {
         let Evaluation { frames, warps, appearance, .. } = &mut *self.memory;
         frames.clear();
         frames.extend(sights.clone().map(|s| s.frame));
@@ -207,7 +214,6 @@ impl<'a> Evaluator<'a> {
         appearance.extend(sights.clone().flat_map(|s| s.state.appearance.iter().copied().map(narrow)));
         let geometry = &self.problem.level.geometry;
         warps.resize_with(frames.len() * geometry.len(), TriangleWarp::idle);
-        let is_full_size = self.problem.number == 0;
         let (targets, image_level) = (self.targets, self.problem.image_level);
         let of_sight = |(sight, warps): (Sight<'_>, &mut [TriangleWarp])| {
             let camera = targets[sight.frame].camera.at_level(image_level);
@@ -216,7 +222,7 @@ impl<'a> Evaluator<'a> {
                 let geometry = geometry.as_ref().filter(|_| sight.visibility[t] > 0.0);
                 *warp = geometry.map_or_else(TriangleWarp::idle, |g| {
                     let light = sight.light.get(t).copied().unwrap_or_default();
-                    rendered(projection * g.object_from_chart, g, light, is_full_size)
+                    rendered(projection * g.object_from_chart, g, light, is_blurred)
                 });
             }
         };

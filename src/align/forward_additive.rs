@@ -103,7 +103,7 @@ impl Descent {
     }
 
     fn here(&self) -> Sight<'_> {
-        Sight { frame: 0, state: &self.state, visibility: &self.visibility, light: &[] }
+        Sight::new(&self.state, &self.visibility)
     }
 }
 

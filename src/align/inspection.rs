@@ -126,12 +126,7 @@ fn inspect<T>(
     let problem = LevelProblem::new(target, 0, Grouping::Triangle);
     let mut evaluation = Evaluation::default();
     let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, &mut evaluation);
-    evaluator.evaluate(std::iter::once(Sight {
-        frame: 0,
-        state: &state,
-        visibility: &visibility,
-        light: &[],
-    }))?;
+    evaluator.evaluate(std::iter::once(Sight::new(&state, &visibility)))?;
     let rows = evaluator.rows(0);
     let (mut scratch, mut weights) = (Scratch::default(), Vec::new());
     triangle_weights(&problem, &rows, &visibility, Some(Redescent::DEFAULT), &mut scratch, &mut weights);

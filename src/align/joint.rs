@@ -146,12 +146,8 @@ impl Joint {
             let mut evaluator =
                 Evaluator::new(&mut *eye.backend, std::slice::from_ref(&target), problem, evaluation);
             let visibility = &*self.looks[k].visibility;
-            evaluator.evaluate(std::iter::once(Sight {
-                frame: 0,
-                state: &seen,
-                visibility,
-                light: &self.looks[k].light,
-            }))?;
+            let light = &*self.looks[k].light;
+            evaluator.evaluate(std::iter::once(Sight { light, ..Sight::new(&seen, visibility) }))?;
             self.proposed[k].clear();
             self.proposed[k].extend(evaluator.rows(0).data);
         }

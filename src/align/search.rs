@@ -85,12 +85,7 @@ impl InverseCompositional {
         let visible = visibility(target, &start);
         let Workspace { evaluation, workers, .. } = work;
         let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, evaluation);
-        evaluator.evaluate(states.iter().map(|state| Sight {
-            frame: 0,
-            state,
-            visibility: &visible,
-            light: &[],
-        }))?;
+        evaluator.evaluate(states.iter().map(|state| Sight::new(state, &visible)))?;
         let solutions = &mut workers[0].scratch.solutions;
         let misfits: Vec<f64> = (0..states.len())
             .map(|k| misfit(&problem, &around.appearance, &evaluator.rows(k), &visible, solutions))

@@ -180,12 +180,7 @@ impl Edge {
         let (mut evaluation, mut scratch, mut weights) =
             (Evaluation::default(), Scratch::default(), Vec::new());
         let mut evaluator = Evaluator::new(backend, std::slice::from_ref(target), &problem, &mut evaluation);
-        evaluator.evaluate(std::iter::once(Sight {
-            frame: 0,
-            state: &state,
-            visibility: &visibility,
-            light: &[],
-        }))?;
+        evaluator.evaluate(std::iter::once(Sight::new(&state, &visibility)))?;
         let rows: Rows<'_> = evaluator.rows(0);
         triangle_weights(&problem, &rows, &visibility, None, &mut scratch, &mut weights);
         let (mean, _) = cost(&problem, &state.appearance, &rows, &weights, &mut scratch.solutions);

@@ -79,7 +79,7 @@ pub(super) fn max_items(context: &Context, level: &DeviceLevel, planes: u32, lim
     let most = most_bytes(context, level.partition.class);
     context.require_below("warps of one pose (bytes)", one.warps, most)?;
     context.require("sums of one pose (bytes)", one.sums)?;
-    let items = limit.min(most) / one.warps.max(one.sums).max(one.appearance).max(1);
+    let items = limit / one.warps.max(one.sums).max(one.appearance).max(1);
     Ok(usize::try_from(items.clamp(1, u64::from(MAX_GROUPS))).unwrap_or(1))
 }
 
