@@ -54,7 +54,7 @@ impl Pairs {
     /// Takes over an image. Keeps its memory.
     fn fill(&mut self, image: &GrayImage) {
         (self.width, self.height) = image.dimensions();
-        self.is_saturated = image.iter().any(|value| *value >= SATURATED);
+        self.is_saturated = is_saturated(image.as_raw());
         let stride = self.width as usize;
         let (upper, rest) = (image.as_raw().as_slice(), stride.min(image.as_raw().len()));
         let lower = &upper[rest..];
@@ -78,4 +78,9 @@ impl Pairs {
             };
         }
     }
+}
+
+/// Is any value saturated? Looks at many before it asks whether to go on: only then are they compared in vectors.
+fn is_saturated(values: &[u8]) -> bool {
+    values.chunks(4096).any(|some| some.iter().fold(0, |highest, value| highest.max(*value)) >= SATURATED)
 }
