@@ -19,8 +19,8 @@ use support::{Scene, image};
 
 /// Around the widths of vectors and blocks, and a full template.
 const PIXELS: [usize; 12] = [1, 3, 4, 7, 8, 15, 16, 17, 255, 256, 257, 72_000];
-/// None, and around the groups of four that are worked on at a time.
-const MODES: [usize; 7] = [0, 1, 2, 3, 4, 5, 8];
+/// None, and around the runs of four and eight that are worked on at a time.
+const MODES: [usize; 9] = [0, 1, 2, 3, 4, 5, 8, 11, 16];
 /// Poses; the large template only takes the small ones.
 const ITEMS: [usize; 4] = [1, 3, 17, 65];
 const LARGE: usize = 10_000;
@@ -64,6 +64,21 @@ fn all_sizes_agree() {
 fn single_pixels_and_many_poses_agree() {
     agrees(&Scene::of_single_pixels(8, 3_000, 3, 2), "single pixels");
     agrees(&Scene::new(9, 5_000, 4, 130), "many poses");
+}
+
+/// Of images so wide that few rows fit into the window of a chart, or none.
+#[test]
+fn wide_frames_agree_and_moved_warps_do_not() {
+    for width in [2_000, 5_000, 9_000, 40_000] {
+        for pixels in [257, 5_000] {
+            let scene = Scene::new(17, pixels, 4, 2).widened(width);
+            agrees(&scene, &format!("{width} columns, {pixels} pixels"));
+        }
+        let scene = Scene::new(18, 257, 4, 1).widened(width);
+        let mut disturbed = scene.clone();
+        disturbed.warps[0].image_from_chart[(0, 2)] += 0.05;
+        must_differ(&scene, &disturbed);
+    }
 }
 
 #[test]

@@ -62,6 +62,21 @@ impl Scene {
         self
     }
 
+    /// The same at the right of a wider image.
+    pub(crate) fn widened(mut self, width: u32) -> Self {
+        let left = width - self.image.width();
+        let mut wide = image(&mut ChaCha8Rng::seed_from_u64(1), width, self.image.height());
+        for (x, y, pixel) in self.image.enumerate_pixels() {
+            wide.put_pixel(left + x, y, *pixel);
+        }
+        for warp in &mut self.warps {
+            let moved = warp.image_from_chart.row(0) + f64::from(left) * warp.image_from_chart.row(2);
+            warp.image_from_chart.set_row(0, &moved);
+        }
+        self.image = wide;
+        self
+    }
+
     /// The request for all poses.
     pub(crate) fn request(&self, model: ModelId) -> Request<'_> {
         Request {

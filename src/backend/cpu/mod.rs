@@ -208,7 +208,7 @@ impl CpuBackend {
         let Some(cut) = Cut::new(level, request) else { return };
         let work = self.work(level, request);
         let rows = sums.data_mut();
-        let len = cut.rows * Sums::row_len(level.modes);
+        let len = cut.rows * Sums::row_len(level.mode_count);
         // On this thread where one is enough, which allocates nothing.
         if cut.threads == 1 {
             rows.chunks_mut(len).enumerate().for_each(|(k, rows)| work.accumulate(&cut.tile(k), rows));
@@ -221,8 +221,8 @@ impl CpuBackend {
         let Some(cut) = Cut::new(level, request) else { return };
         let work = self.work(level, request);
         let (first, second) = out.data_mut();
-        let first = first.par_chunks_mut(cut.rows * Sums::row_len(level.modes));
-        let second = second.par_chunks_mut(cut.rows * Linearization::row_len(level.modes));
+        let first = first.par_chunks_mut(cut.rows * Sums::row_len(level.mode_count));
+        let second = second.par_chunks_mut(cut.rows * Linearization::row_len(level.mode_count));
         first.zip(second).enumerate().for_each(|(k, (first, second))| {
             work.linearize(&cut.tile(k), first, second);
         });

@@ -4,6 +4,7 @@
 //! in blocks; sums over a block are f32, sums over blocks f64. Every row is added up by one thread in a fixed order, so
 //! the same input gives the same bytes however many threads there are.
 
+mod accumulate;
 mod kernel;
 mod linearize;
 mod locate;
@@ -22,8 +23,8 @@ pub(super) use template::FastLevel;
 
 use kernel::Scratch;
 use linearize::LinearScratch;
-use locate::is_inside;
-use pairs::Pairs;
+use locate::{Place, window};
+use pairs::{Pairs, Window};
 use template::Triangle;
 
 use super::Instructions;
@@ -84,10 +85,10 @@ struct Call<'a> {
     image: &'a Pairs,
 }
 
-impl Call<'_> {
+impl<'a> Call<'a> {
     #[inline(always)]
-    fn is_inside(&self) -> bool {
-        is_inside(&self.warp, self.triangle.reach, self.image)
+    fn window(&self) -> Option<Window<'a>> {
+        window(&self.warp, self.triangle.reach, self.image)
     }
 
     /// The sums of a chart that lies inside the image which do not depend on the pose.
@@ -113,17 +114,17 @@ impl<'a> Work<'a> {
     #[inline(always)]
     fn accumulate_by<S: Simd>(&self, simd: S, tile: &Tile, rows: &mut [f64]) {
         let mut scratch = Scratch::default();
-        let row_len = Sums::row_len(self.template.modes);
+        let row_len = Sums::row_len(self.template.mode_count);
         for (i, triangle) in tile.triangles.clone().enumerate() {
             for (k, item) in tile.items.clone().enumerate() {
                 let Some(call) = self.call(triangle, item) else { continue };
                 let k = k * tile.triangles.len() + i;
                 let row = &mut rows[k * row_len..][..row_len];
-                if call.is_inside() {
-                    add_triangle::<_, true>(simd, &call, &mut scratch, row);
+                if let Some(window) = call.window() {
+                    add_triangle(simd, &call, window, &mut scratch, row);
                     call.add_whole(row);
                 } else {
-                    add_triangle::<_, false>(simd, &call, &mut scratch, row);
+                    add_triangle(simd, &call, call.image, &mut scratch, row);
                 }
                 to_origin(&mut row[..6], call.triangle.centre);
             }
@@ -133,19 +134,19 @@ impl<'a> Work<'a> {
     #[inline(always)]
     fn linearize_by<S: Simd>(&self, simd: S, tile: &Tile, first: &mut [f64], second: &mut [f64]) {
         let mut scratch = LinearScratch::default();
-        let modes = self.template.modes;
+        let modes = self.template.mode_count;
         let [first_len, second_len] = [Sums::row_len(modes), Linearization::row_len(modes)];
         for (i, triangle) in tile.triangles.clone().enumerate() {
             for (k, item) in tile.items.clone().enumerate() {
                 let Some(call) = self.call(triangle, item) else { continue };
                 let k = k * tile.triangles.len() + i;
-                let (first, second) =
-                    (&mut first[k * first_len..][..first_len], &mut second[k * second_len..][..second_len]);
-                if call.is_inside() {
-                    linearize_triangle::<_, true>(simd, &call, &mut scratch, first, second);
+                let first = &mut first[k * first_len..][..first_len];
+                let second = &mut second[k * second_len..][..second_len];
+                if let Some(window) = call.window() {
+                    linearize_triangle(simd, &call, window, &mut scratch, (&mut *first, &mut *second));
                     call.add_whole(first);
                 } else {
-                    linearize_triangle::<_, false>(simd, &call, &mut scratch, first, second);
+                    linearize_triangle(simd, &call, call.image, &mut scratch, (first, second));
                 }
                 to_origin(&mut first[..6], call.triangle.centre);
                 second_to_origin(&mut second[..18], call.triangle.centre);
@@ -164,35 +165,36 @@ impl<'a> Work<'a> {
         }
         let triangle = &template.triangles[triangle];
         let warp = LocalWarp::new(warp, triangle.centre);
-        let appearance = &request.appearance[item * template.modes..][..template.modes];
+        let appearance = &request.appearance[item * template.mode_count..][..template.mode_count];
         Some(Call { template, triangle, warp, appearance, image })
     }
 }
 
 #[inline(always)]
-fn add_triangle<S: Simd, const INSIDE: bool>(
+fn add_triangle<S: Simd, P: Place>(
     simd: S,
     call: &Call<'_>,
+    place: P,
     scratch: &mut Scratch,
     row: &mut [f64],
 ) {
-    let Call { template, triangle, warp, appearance, image } = call;
+    let Call { template, triangle, warp, appearance, .. } = call;
     for block in template.blocks(triangle) {
-        kernel::add_block::<S, INSIDE>(simd, &block, warp, appearance, image, scratch, row);
+        accumulate::add_block(simd, &block, warp, appearance, place, scratch, row);
     }
 }
 
 #[inline(always)]
-fn linearize_triangle<S: Simd, const INSIDE: bool>(
+fn linearize_triangle<S: Simd, P: Place>(
     simd: S,
     call: &Call<'_>,
+    place: P,
     scratch: &mut LinearScratch,
-    first: &mut [f64],
-    second: &mut [f64],
+    (first, second): (&mut [f64], &mut [f64]),
 ) {
-    let Call { template, triangle, warp, appearance, image } = call;
+    let Call { template, triangle, warp, appearance, .. } = call;
     for block in template.blocks(triangle) {
         let rows = (&mut *first, &mut *second);
-        linearize::add_block::<S, INSIDE>(simd, &block, warp, appearance, image, scratch, rows);
+        linearize::add_block(simd, &block, warp, appearance, place, scratch, rows);
     }
 }

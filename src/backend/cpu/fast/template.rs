@@ -1,25 +1,59 @@
-//! The chart pixels of a level as the kernel wants them: blocks of whole vectors, one column after the other.
+//! The chart pixels of a level as the kernel wants them: groups of as many as the widest vector holds, all that
+//! belongs to a group in one run of memory.
 
+use std::ops::Range;
+
+use fearless_simd::{Simd, prelude::*};
 use nalgebra::Vector2;
 
 use super::BLOCK;
-use crate::backend::local::{self, centre, pack};
+use crate::backend::local::{centre, pack, pack_curvature};
 use crate::model::LevelTemplate;
 
-/// Pixels per vector at most: blocks are padded to whole vectors of every width.
-const WIDEST: usize = 16;
-/// Columns of a block before the modes: g_u, g_v, T0, q.
-const COLUMNS: usize = 4;
+/// Pixels per vector at most: charts are padded to whole vectors of every width.
+pub(super) const WIDEST: usize = 16;
+/// Groups per block at most.
+pub(super) const GROUPS: usize = BLOCK / WIDEST;
+/// Lines of a group before the modes: g_u, g_v, T0, q.
+pub(super) const TEXELS: usize = 4;
+
+/// One value each of a group of pixels; as long as a line of the cache and never across two of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(64))]
+pub(super) struct Line<T>(pub(super) [T; WIDEST]);
+
+impl<T: Copy + Default> Default for Line<T> {
+    fn default() -> Self {
+        Self([T::default(); WIDEST])
+    }
+}
+
+impl<T: Copy + Default> Line<T> {
+    /// Values with padding behind them.
+    fn padded(values: impl Iterator<Item = T>) -> Self {
+        let mut line = Self::default();
+        line.0.iter_mut().zip(values).for_each(|(place, value)| *place = value);
+        line
+    }
+}
+
+/// The parts of a line that are a vector each.
+#[inline(always)]
+pub(super) fn parts<S: Simd>() -> impl Iterator<Item = Range<usize>> {
+    (0..WIDEST / S::f32s::LEN).map(|k| k * S::f32s::LEN..(k + 1) * S::f32s::LEN)
+}
 
 /// One level of a template.
 #[derive(Debug, Clone)]
 pub(crate) struct FastLevel {
     pub(crate) triangles: Vec<Triangle>,
     /// Number of modes l.
-    pub(crate) modes: usize,
-    positions: Vec<i32>,
-    curvatures: Vec<i32>,
-    columns: Vec<f32>,
+    pub(crate) mode_count: usize,
+    positions: Vec<Line<i32>>,
+    curvatures: Vec<Line<i32>>,
+    /// g_u, g_v, T0, q of every group, and T1..Tl of every group: runs through memory that the processor can foresee.
+    texels: Vec<[Line<f32>; TEXELS]>,
+    modes: Vec<Line<f32>>,
 }
 
 /// One triangle of a level.
@@ -31,7 +65,7 @@ pub(crate) struct Triangle {
     pub(super) reach: [f32; 2],
     /// sum q over all of its pixels.
     pub(super) weight: f64,
-    /// First of its pixels in the padded columns.
+    /// Its first group.
     start: usize,
     pixels: usize,
 }
@@ -44,19 +78,34 @@ impl Triangle {
     }
 }
 
-/// At most [`BLOCK`] pixels of one triangle, padded to whole vectors.
+/// At most [`BLOCK`] pixels of one triangle, padded to whole groups.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Block<'a> {
-    /// Number of pixels; the rest of every column is padding.
+    /// Number of pixels; the rest is padding.
     pub(super) pixels: usize,
     /// Signed u in the low, v in the high half, relative to the chart's centre.
-    pub(super) positions: &'a [i32],
-    /// Second differences of T0, see [`local::pack_curvature`].
-    pub(super) curvatures: &'a [i32],
-    /// g_u, g_v, T0, q, each as long as the positions.
-    pub(super) texels: [&'a [f32]; COLUMNS],
-    /// T1..Tl, one after the other, each as long as the positions.
-    pub(super) modes: &'a [f32],
+    pub(super) positions: &'a [Line<i32>],
+    /// Second differences of T0, see [`pack_curvature`].
+    pub(super) curvatures: &'a [Line<i32>],
+    /// g_u, g_v, T0, q.
+    pub(super) texels: &'a [[Line<f32>; TEXELS]],
+    modes: &'a [Line<f32>],
+    mode_count: usize,
+}
+
+impl<'a> Block<'a> {
+    /// The numbers of its groups.
+    #[inline(always)]
+    pub(super) fn groups(&self) -> Range<usize> {
+        0..self.texels.len().min(GROUPS)
+    }
+
+    /// Some modes of a group, from the `first` one (counted from 0) on.
+    #[inline(always)]
+    pub(super) fn modes<const N: usize>(&self, group: usize, first: usize) -> &'a [Line<f32>] {
+        let first = group * self.mode_count + first;
+        &self.modes[first..first + N]
+    }
 }
 
 impl FastLevel {
@@ -65,10 +114,11 @@ impl FastLevel {
         let modes = template.pixels.modes.len();
         let mut level = Self {
             triangles: Vec::with_capacity(template.charts.len()),
-            modes,
+            mode_count: modes,
             positions: Vec::new(),
             curvatures: Vec::new(),
-            columns: Vec::new(),
+            texels: Vec::new(),
+            modes: Vec::new(),
         };
         for chart in &template.charts {
             let (start, centre) = (level.positions.len(), centre(template, chart));
@@ -80,62 +130,54 @@ impl FastLevel {
                 start,
                 pixels: range.len(),
             });
-            for first in chart.range().step_by(BLOCK) {
-                let range = first..(first + BLOCK).min(chart.end as usize);
-                level.push_block(template, range, centre);
+            for first in range.clone().step_by(WIDEST) {
+                level.push_group(template, first..(first + WIDEST).min(range.end), centre);
             }
         }
         level
     }
 
-    fn push_block(&mut self, template: &LevelTemplate, range: std::ops::Range<usize>, centre: Vector2<f64>) {
+    fn push_group(&mut self, template: &LevelTemplate, range: Range<usize>, centre: Vector2<f64>) {
         let pixels = &template.pixels;
-        let padding = range.len().next_multiple_of(WIDEST) - range.len();
         let packed = pixels.position[range.clone()].iter().map(|p| pack(*p, centre).cast_signed());
-        self.positions.extend(packed.chain(std::iter::repeat_n(0, padding)));
-        let curvatures =
-            template.curvature[range.clone()].iter().map(|c| local::pack_curvature(*c).cast_signed());
-        self.curvatures.extend(curvatures.chain(std::iter::repeat_n(0, padding)));
+        self.positions.push(Line::padded(packed));
+        let packed = template.curvature[range.clone()].iter().map(|c| pack_curvature(*c).cast_signed());
+        self.curvatures.push(Line::padded(packed));
         let gradient = &pixels.gradient[range.clone()];
-        let mut push = |column: &mut dyn Iterator<Item = f32>| {
-            self.columns.extend(column.chain(std::iter::repeat_n(0.0, padding)));
-        };
-        push(&mut gradient.iter().map(|g| g[0]));
-        push(&mut gradient.iter().map(|g| g[1]));
-        for column in [&pixels.intensity, &pixels.weight].into_iter().chain(&pixels.modes) {
-            push(&mut column[range.clone()].iter().copied());
-        }
+        let [of_u, of_v] = [0, 1].map(|k| Line::padded(gradient.iter().map(|g| g[k])));
+        let line = |column: &Vec<f32>| Line::padded(column[range.clone()].iter().copied());
+        self.texels.push([of_u, of_v, line(&pixels.intensity), line(&pixels.weight)]);
+        self.modes.extend(pixels.modes.iter().map(line));
     }
 
     /// The blocks of a triangle.
     pub(super) fn blocks(&self, triangle: &Triangle) -> impl Iterator<Item = Block<'_>> {
-        let (start, pixels) = (triangle.start, triangle.pixels);
+        let (start, pixels, modes) = (triangle.start, triangle.pixels, self.mode_count);
         (0..pixels).step_by(BLOCK).map(move |first| {
             let pixels = (pixels - first).min(BLOCK);
-            let (at, n) = (start + first, pixels.next_multiple_of(WIDEST));
-            let columns = &self.columns[at * (COLUMNS + self.modes)..][..n * (COLUMNS + self.modes)];
-            let (texels, modes) = columns.split_at(COLUMNS * n);
-            let texels = [0, 1, 2, 3].map(|k| &texels[k * n..][..n]);
+            let groups = start + first / WIDEST..start + (first + pixels).div_ceil(WIDEST);
             Block {
                 pixels,
-                positions: &self.positions[at..][..n],
-                curvatures: &self.curvatures[at..][..n],
-                texels,
-                modes,
+                positions: &self.positions[groups.clone()],
+                curvatures: &self.curvatures[groups.clone()],
+                texels: &self.texels[groups.clone()],
+                modes: &self.modes[groups.start * modes..groups.end * modes],
+                mode_count: modes,
             }
         })
     }
 
     /// Number of pixels, padding included.
     pub(crate) fn padded_pixels(&self) -> usize {
-        self.positions.len()
+        self.positions.len() * WIDEST
     }
 
     /// Bytes that one pass over the level reads.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.positions.as_slice())
             + size_of_val(self.curvatures.as_slice())
-            + size_of_val(self.columns.as_slice())
+            + size_of_val(self.texels.as_slice())
+            + size_of_val(self.modes.as_slice())
     }
 }
 
