@@ -92,6 +92,7 @@ impl<'a> Call<'a> {
     }
 
     /// The sums of a chart that lies inside the image which do not depend on the pose.
+    #[inline(always)]
     fn add_whole(&self, row: &mut [f64]) {
         row[7] += self.triangle.weight;
         row[8] += self.triangle.count();
@@ -179,7 +180,8 @@ fn add_triangle<S: Simd, P: Place>(
     row: &mut [f64],
 ) {
     let Call { template, triangle, warp, appearance, .. } = call;
-    for block in template.blocks(triangle) {
+    for number in 0..FastLevel::blocks(triangle) {
+        let block = template.block(triangle, number);
         accumulate::add_block(simd, &block, warp, appearance, place, scratch, row);
     }
 }
@@ -193,8 +195,8 @@ fn linearize_triangle<S: Simd, P: Place>(
     (first, second): (&mut [f64], &mut [f64]),
 ) {
     let Call { template, triangle, warp, appearance, .. } = call;
-    for block in template.blocks(triangle) {
-        let rows = (&mut *first, &mut *second);
+    for number in 0..FastLevel::blocks(triangle) {
+        let (block, rows) = (template.block(triangle, number), (&mut *first, &mut *second));
         linearize::add_block(simd, &block, warp, appearance, place, scratch, rows);
     }
 }

@@ -150,21 +150,27 @@ impl FastLevel {
         self.modes.extend(pixels.modes.iter().map(line));
     }
 
-    /// The blocks of a triangle.
-    pub(super) fn blocks(&self, triangle: &Triangle) -> impl Iterator<Item = Block<'_>> {
-        let (start, pixels, modes) = (triangle.start, triangle.pixels, self.mode_count);
-        (0..pixels).step_by(BLOCK).map(move |first| {
-            let pixels = (pixels - first).min(BLOCK);
-            let groups = start + first / WIDEST..start + (first + pixels).div_ceil(WIDEST);
-            Block {
-                pixels,
-                positions: &self.positions[groups.clone()],
-                curvatures: &self.curvatures[groups.clone()],
-                texels: &self.texels[groups.clone()],
-                modes: &self.modes[groups.start * modes..groups.end * modes],
-                mode_count: modes,
-            }
-        })
+    /// Number of blocks of a triangle.
+    #[inline(always)]
+    pub(super) fn blocks(triangle: &Triangle) -> usize {
+        triangle.pixels.div_ceil(BLOCK)
+    }
+
+    /// A block of a triangle.
+    #[inline(always)]
+    pub(super) fn block(&self, triangle: &Triangle, number: usize) -> Block<'_> {
+        let (first, modes) = (number * BLOCK, self.mode_count);
+        let pixels = (triangle.pixels - first).min(BLOCK);
+        let start = triangle.start + first / WIDEST;
+        let groups = start..start + pixels.div_ceil(WIDEST);
+        Block {
+            pixels,
+            positions: &self.positions[groups.clone()],
+            curvatures: &self.curvatures[groups.clone()],
+            texels: &self.texels[groups.clone()],
+            modes: &self.modes[groups.start * modes..groups.end * modes],
+            mode_count: modes,
+        }
     }
 
     /// Number of pixels, padding included.
