@@ -6,7 +6,7 @@
 use fearless_simd::{Simd, prelude::*};
 
 use super::accumulate::project;
-use super::kernel::{Column, Scratch, add_up, load, neighbours, unpack, weigh};
+use super::kernel::{Column, Scratch, add_up, fraction, load, neighbours, unpack, weigh};
 use super::locate::Place;
 use super::rendering::blend;
 use super::template::{Block, parts};
@@ -70,7 +70,7 @@ fn sum_first<S: Simd, P: Place>(
         for at in parts::<S>() {
             let intensity = load(simd, mean, &at);
             let template = if is_mean { intensity } else { load(simd, &common.template[group], &at) };
-            let [fu, fv] = [0, 1].map(|k| load(simd, &common.fraction[k][group], &at));
+            let [fu, fv] = fraction(simd, common, group, &at);
             let [upper_left, lower_left, upper_right, lower_right] = neighbours(simd, common, group, &at);
             let (along_upper, along_lower) = (upper_right - upper_left, lower_right - lower_left);
             let (upper, lower) = (fu.mul_add(along_upper, upper_left), fu.mul_add(along_lower, lower_left));
