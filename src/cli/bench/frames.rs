@@ -11,7 +11,7 @@ use crate::model::Model;
 use crate::track::Tracker;
 
 /// Times that the sequence is tracked; the best time of every frame counts.
-const PASSES: usize = 5;
+const PASSES: usize = 12;
 
 /// Loading a model, warm-up included.
 #[derive(Debug, Serialize)]

@@ -99,7 +99,7 @@ fn frames(text: &mut String, summary: &Summary) -> std::fmt::Result {
     writeln!(
         text,
         "\n## One stream\n\nMedian over the frames, all three levels, from image to pose; CPU backends on one thread. Backends and methods take turns,\n\
-         a whole sequence each, five times; the best time of every frame counts.\n\n\
+         a whole sequence each, twelve times; the best time of every frame counts.\n\n\
          | method | backend | l | CPU ms | wall ms | iterations | lost |\n|---|---|---|---|---|---|---|"
     )?;
     for f in &summary.frames {
