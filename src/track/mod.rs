@@ -168,7 +168,7 @@ impl Tracker {
     }
 
     /// As [`Self::track`], in the memory of an earlier result. With the default method on the CPU backend, and a model
-    /// that one thread is enough for (see `docs/architecture.md`), nothing is allocated once every buffer has grown to
+    /// that one thread is enough for (see `docs/speed.md`), nothing is allocated once every buffer has grown to
     /// its size, as long as the object is tracked.
     ///
     /// # Errors
