@@ -20,7 +20,7 @@ use support::{Scene, image};
 /// Around the widths of vectors and blocks, and a full template.
 const PIXELS: [usize; 12] = [1, 3, 4, 7, 8, 15, 16, 17, 255, 256, 257, 72_000];
 /// None, and around the runs of four and eight that are worked on at a time.
-const MODES: [usize; 9] = [0, 1, 2, 3, 4, 5, 8, 11, 16];
+const MODES: [usize; 11] = [0, 1, 2, 3, 4, 5, 6, 8, 11, 12, 16];
 /// Poses; the large template only takes the small ones.
 const ITEMS: [usize; 4] = [1, 3, 17, 65];
 const LARGE: usize = 10_000;
@@ -66,14 +66,18 @@ fn single_pixels_and_many_poses_agree() {
     agrees(&Scene::new(9, 5_000, 4, 130), "many poses");
 }
 
-/// Of images so wide that few rows fit into the window of a chart, or none.
+/// Images so wide that few rows, or at last none, fit into the window of a chart.
 #[test]
 fn wide_frames_agree_and_moved_warps_do_not() {
-    for width in [2_000, 5_000, 9_000, 40_000] {
+    for width in [4_000, 10_000, 18_000, 44_000] {
         for pixels in [257, 5_000] {
             let scene = Scene::new(17, pixels, 4, 2).widened(width);
             agrees(&scene, &format!("{width} columns, {pixels} pixels"));
         }
+        let scene = Scene::new(19, 5_000, 3, 2).widened(width);
+        let problem =
+            LinearReference::new(&scene).compare(&scene, &linearization(Instructions::Best, &scene));
+        assert!(problem.is_ok(), "{width} columns: {problem:?}");
         let scene = Scene::new(18, 257, 4, 1).widened(width);
         let mut disturbed = scene.clone();
         disturbed.warps[0].image_from_chart[(0, 2)] += 0.05;
@@ -83,7 +87,7 @@ fn wide_frames_agree_and_moved_warps_do_not() {
 
 #[test]
 fn overexposed_frames_agree_and_other_light_does_not() {
-    for (pixels, modes) in [(257, 0), (257, 4), (20_000, 3)] {
+    for (pixels, modes) in [(257, 0), (257, 4), (257, 9), (20_000, 3)] {
         let scene = Scene::new(14, pixels, modes, 3).overexposed();
         agrees(&scene, &format!("{pixels} pixels, {modes} modes"));
     }

@@ -16,8 +16,8 @@ pub fn read(path: &Path) -> Result<GrayImage> {
         .and_then(image::ImageReader::with_guessed_format)
         .map_err(|e| Error::io(path, e))?;
     let decoded = reader.decode().map_err(|source| Error::Image { path: path.to_owned(), source })?;
-    let (colour, bits) = (decoded.color(), u16::from(decoded.color().bytes_per_pixel()) * 8);
-    let bits = bits / u16::from(colour.channel_count());
+    let colour = decoded.color();
+    let bits = colour.bits_per_pixel() / u16::from(colour.channel_count());
     if bits > 8 {
         let remedy = "convert it to 8 bits, scaled so that its brightest pixels are near 255";
         return Err(Error::field(path, "pixels", format!("{bits} bits per channel, 8 are read"), remedy));

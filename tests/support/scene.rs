@@ -62,10 +62,10 @@ impl Scene {
         self
     }
 
-    /// The same at the right of a wider image.
+    /// The same at the right of a wider image, which is grey to the left of it.
     pub(crate) fn widened(mut self, width: u32) -> Self {
         let left = width - self.image.width();
-        let mut wide = image(&mut ChaCha8Rng::seed_from_u64(1), width, self.image.height());
+        let mut wide = GrayImage::from_pixel(width, self.image.height(), image::Luma([100]));
         for (x, y, pixel) in self.image.enumerate_pixels() {
             wide.put_pixel(left + x, y, *pixel);
         }

@@ -4,7 +4,7 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::kernel::{Scratch, add_up, bilinear, fraction, load, neighbours, unpack, weigh};
+use super::kernel::{Scratch, add_up, bilinear, fraction, load, neighbours, project, unpack, weigh};
 use super::locate::Place;
 use super::rendering::{Rendering, blend, unsaturate};
 use super::template::{Block, parts};
@@ -24,27 +24,28 @@ pub(super) fn add_block<S: Simd, P: Place>(
 ) {
     place.look_up(simd, block, warp, scratch);
     let (first, modes) = row.split_at_mut(11);
-    if P::INSIDE && !place.image().is_saturated {
+    // By far the most; the others are not worth kernels of their own for every number of modes.
+    if P::INSIDE && !place.is_saturated() {
         compare_rendered::<S, P>(simd, block, warp, appearance, scratch, first);
     } else {
-        blend(simd, block, warp, appearance, scratch);
+        blend(simd, block, appearance, scratch);
         let mut is_mean = appearance.is_empty();
         if warp.is_blurred() {
-            Rendering::<S, 0, true>::new(simd, warp, 0, []).store(block, is_mean, scratch);
+            Rendering::<S, 0, true>::new(simd, &warp.blur, 0, []).store(block, is_mean, scratch);
             is_mean = false;
         }
-        if place.image().is_saturated {
+        if place.is_saturated() {
             first[8] -= unsaturate::<S, P>(simd, block, is_mean, warp, scratch);
             is_mean = false;
         }
-        let rest = Rendering::<S, 0, false>::new(simd, warp, 0, []);
+        let rest = Rendering::<S, 0, false>::new(simd, &warp.blur, 0, []);
         sum_texels::<S, P, 0, false>(simd, block, is_mean, &rest, scratch, first);
     }
     project(simd, block, scratch, modes);
 }
 
 /// What the template shows is worked out where residuals are summed, so that arithmetic fills the time that its pixels take to
-/// arrive from memory; of many modes only the last, those before them in runs of four.
+/// arrive from memory; of many modes only the last, those before them in runs of eight or four.
 #[inline(always)]
 fn compare_rendered<S: Simd, P: Place>(
     simd: S,
@@ -56,7 +57,7 @@ fn compare_rendered<S: Simd, P: Place>(
 ) {
     let from = appearance.len() - last_run(appearance.len());
     let (before, last) = appearance.split_at(from);
-    blend(simd, block, warp, before, scratch);
+    blend(simd, block, before, scratch);
     match *last {
         [a] => compare::<S, P, 1>(simd, block, warp, (from, [a]), scratch, row),
         [a, b] => compare::<S, P, 2>(simd, block, warp, (from, [a, b]), scratch, row),
@@ -89,10 +90,10 @@ fn compare<S: Simd, P: Place, const MODES: usize>(
 ) {
     let is_mean = from == 0;
     if warp.is_blurred() {
-        let rest = Rendering::<S, MODES, true>::new(simd, warp, from, lambda);
+        let rest = Rendering::<S, MODES, true>::new(simd, &warp.blur, from, lambda);
         sum_texels::<S, P, MODES, true>(simd, block, is_mean, &rest, scratch, row);
     } else {
-        let rest = Rendering::<S, MODES, false>::new(simd, warp, from, lambda);
+        let rest = Rendering::<S, MODES, false>::new(simd, &warp.blur, from, lambda);
         sum_texels::<S, P, MODES, false>(simd, block, is_mean, &rest, scratch, row);
     }
 }
@@ -129,40 +130,6 @@ fn sum_texels<S: Simd, P: Place, const MODES: usize, const BLURRED: bool>(
         }
     }
     add_up(sums, row);
-}
-
-/// sum q r T_k, up to four modes at a time.
-#[inline(always)]
-pub(super) fn project<S: Simd>(simd: S, block: &Block<'_>, scratch: &Scratch, row: &mut [f64]) {
-    for (k, sums) in row.chunks_mut(4).enumerate() {
-        match sums.len() {
-            1 => project_some::<S, 1>(simd, block, 4 * k, scratch, sums),
-            2 => project_some::<S, 2>(simd, block, 4 * k, scratch, sums),
-            3 => project_some::<S, 3>(simd, block, 4 * k, scratch, sums),
-            _ => project_some::<S, 4>(simd, block, 4 * k, scratch, sums),
-        }
-    }
-}
-
-#[inline(always)]
-fn project_some<S: Simd, const MODES: usize>(
-    simd: S,
-    block: &Block<'_>,
-    first: usize,
-    scratch: &Scratch,
-    totals: &mut [f64],
-) {
-    let mut sums = [S::f32s::splat(simd, 0.0); MODES];
-    for group in block.groups() {
-        let modes = block.modes::<MODES>(group, first);
-        for at in parts::<S>() {
-            let qr = load(simd, &scratch.weighted[group], &at);
-            for k in 0..MODES {
-                sums[k] = qr.mul_add(load(simd, &modes[k], &at), sums[k]);
-            }
-        }
-    }
-    add_up(sums, totals);
 }
 
 #[cfg(test)]

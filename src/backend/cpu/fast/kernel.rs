@@ -5,7 +5,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, prelude::*};
 
 use super::locate::Place;
-use super::template::{GROUPS, Line};
+use super::template::{Block, GROUPS, Line, parts};
 
 /// A column of a block.
 pub(super) type Column<T> = [Line<T>; GROUPS];
@@ -13,7 +13,7 @@ pub(super) type Column<T> = [Line<T>; GROUPS];
 /// Results of the steps over one block.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// Where the pixel at the upper left of the warped position is; 0 outside.
+    /// Where the pixel at the upper left of the warped position is in the image, or in its window; 0 outside.
     pub(super) index: Column<u32>,
     /// The four pixels around the warped position.
     pub(super) quad: Column<u32>,
@@ -21,7 +21,7 @@ pub(super) struct Scratch {
     pub(super) fraction: [Column<f32>; 2],
     /// 1 inside the image, 0 outside and for padding.
     pub(super) inside: Column<f32>,
-    /// T0 + sum lambda_k T_k.
+    /// What the template shows, as far as it has been worked out.
     pub(super) template: Column<f32>,
     /// q r.
     pub(super) weighted: Column<f32>,
@@ -118,4 +118,38 @@ pub(super) fn neighbours<S: Simd>(
     let upper_right: S::f32s = ((quad >> 16) & 255).to_float();
     let lower_right: S::f32s = ((quad >> 24) & 255).to_float();
     [upper_left, lower_left, upper_right, lower_right]
+}
+
+/// sum q r T_k, up to four modes at a time.
+#[inline(always)]
+pub(super) fn project<S: Simd>(simd: S, block: &Block<'_>, scratch: &Scratch, row: &mut [f64]) {
+    for (k, sums) in row.chunks_mut(4).enumerate() {
+        match sums.len() {
+            1 => project_some::<S, 1>(simd, block, 4 * k, scratch, sums),
+            2 => project_some::<S, 2>(simd, block, 4 * k, scratch, sums),
+            3 => project_some::<S, 3>(simd, block, 4 * k, scratch, sums),
+            _ => project_some::<S, 4>(simd, block, 4 * k, scratch, sums),
+        }
+    }
+}
+
+#[inline(always)]
+fn project_some<S: Simd, const MODES: usize>(
+    simd: S,
+    block: &Block<'_>,
+    first: usize,
+    scratch: &Scratch,
+    totals: &mut [f64],
+) {
+    let mut sums = [S::f32s::splat(simd, 0.0); MODES];
+    for group in block.groups() {
+        let modes = block.modes::<MODES>(group, first);
+        for at in parts::<S>() {
+            let qr = load(simd, &scratch.weighted[group], &at);
+            for k in 0..MODES {
+                sums[k] = qr.mul_add(load(simd, &modes[k], &at), sums[k]);
+            }
+        }
+    }
+    add_up(sums, totals);
 }

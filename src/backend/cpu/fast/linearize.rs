@@ -5,8 +5,7 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::accumulate::project;
-use super::kernel::{Column, Scratch, add_up, fraction, load, neighbours, unpack, weigh};
+use super::kernel::{Column, Scratch, add_up, fraction, load, neighbours, project, unpack, weigh};
 use super::locate::Place;
 use super::rendering::blend;
 use super::template::{Block, parts};
@@ -35,7 +34,7 @@ pub(super) fn add_block<S: Simd, P: Place>(
     (first, second): (&mut [f64], &mut [f64]),
 ) {
     place.look_up(simd, block, warp, &mut scratch.common);
-    blend(simd, block, warp, appearance, &mut scratch.common);
+    blend(simd, block, appearance, &mut scratch.common);
     let (head, modes) = first.split_at_mut(11);
     sum_first::<S, P>(simd, block, appearance.is_empty(), scratch, head);
     project(simd, block, &scratch.common, modes);

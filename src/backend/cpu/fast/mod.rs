@@ -73,7 +73,7 @@ pub(super) struct Work<'a> {
     pub(super) level: Level,
     pub(super) template: &'a FastLevel,
     pub(super) request: &'a Request<'a>,
-    pub(super) image: &'a Pairs,
+    pub(super) image: Pairs<'a>,
 }
 
 /// One triangle at one pose.
@@ -82,13 +82,13 @@ struct Call<'a> {
     triangle: &'a Triangle,
     warp: LocalWarp,
     appearance: &'a [f32],
-    image: &'a Pairs,
+    image: Pairs<'a>,
 }
 
 impl<'a> Call<'a> {
     #[inline(always)]
     fn window(&self) -> Option<Window<'a>> {
-        window(&self.warp, self.triangle.reach, self.image)
+        window(&self.warp, self.triangle.reach, &self.image)
     }
 
     /// The sums of a chart that lies inside the image which do not depend on the pose.
@@ -180,7 +180,7 @@ fn add_triangle<S: Simd, P: Place>(
     row: &mut [f64],
 ) {
     let Call { template, triangle, warp, appearance, .. } = call;
-    for number in 0..FastLevel::blocks(triangle) {
+    for number in 0..triangle.blocks() {
         let block = template.block(triangle, number);
         accumulate::add_block(simd, &block, warp, appearance, place, scratch, row);
     }
@@ -195,7 +195,7 @@ fn linearize_triangle<S: Simd, P: Place>(
     (first, second): (&mut [f64], &mut [f64]),
 ) {
     let Call { template, triangle, warp, appearance, .. } = call;
-    for number in 0..FastLevel::blocks(triangle) {
+    for number in 0..triangle.blocks() {
         let (block, rows) = (template.block(triangle, number), (&mut *first, &mut *second));
         linearize::add_block(simd, &block, warp, appearance, place, scratch, rows);
     }

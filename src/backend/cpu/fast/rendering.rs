@@ -22,12 +22,12 @@ pub(super) struct Rendering<S: Simd, const MODES: usize, const BLURRED: bool> {
 }
 
 impl<S: Simd, const MODES: usize, const BLURRED: bool> Rendering<S, MODES, BLURRED> {
-    /// With the parameters of the modes from the `first` one on.
+    /// With the parameters of the modes from the `first` one on, and the blur of a warp.
     #[inline(always)]
-    pub(super) fn new(simd: S, warp: &LocalWarp, first: usize, lambda: [f32; MODES]) -> Self {
+    pub(super) fn new(simd: S, blur: &[[f32; 3]; 2], first: usize, lambda: [f32; MODES]) -> Self {
         #[expect(clippy::cast_possible_truncation, reason = "one twelfth")]
         let [one, blurred] = splat(simd, [1.0, -TEMPLATE_BLUR as f32]);
-        let blur = [splat(simd, warp.blur[0]), splat(simd, warp.blur[1])];
+        let blur = [splat(simd, blur[0]), splat(simd, blur[1])];
         Self { simd, first, lambda: splat(simd, lambda), blur, one, blurred }
     }
 
@@ -73,35 +73,32 @@ impl<S: Simd, const MODES: usize, const BLURRED: bool> Rendering<S, MODES, BLURR
     }
 }
 
-/// T0 + sum lambda_k T_k, up to four modes at a time; without modes T0 is used where it is.
+/// T0 + sum lambda_k T_k, up to eight modes at a time; without modes T0 is used where it is.
 #[inline(always)]
-pub(super) fn blend<S: Simd>(
-    simd: S,
-    block: &Block<'_>,
-    warp: &LocalWarp,
-    appearance: &[f32],
-    scratch: &mut Scratch,
-) {
-    for (k, lambda) in appearance.chunks(4).enumerate() {
-        match *lambda {
-            [a, b, c, d] => blend_some(simd, block, warp, (4 * k, [a, b, c, d]), scratch),
-            [a, b, c] => blend_some(simd, block, warp, (4 * k, [a, b, c]), scratch),
-            [a, b] => blend_some(simd, block, warp, (4 * k, [a, b]), scratch),
-            [a] => blend_some(simd, block, warp, (4 * k, [a]), scratch),
-            _ => {}
-        }
+pub(super) fn blend<S: Simd>(simd: S, block: &Block<'_>, appearance: &[f32], scratch: &mut Scratch) {
+    let mut first = 0;
+    while first < appearance.len() {
+        first += match appearance[first..] {
+            [a, b, c, d, e, f, g, h, ..] => blend_some(simd, block, first, [a, b, c, d, e, f, g, h], scratch),
+            [a, b, c, d, ..] => blend_some(simd, block, first, [a, b, c, d], scratch),
+            [a, b, ..] => blend_some(simd, block, first, [a, b], scratch),
+            [a, ..] => blend_some(simd, block, first, [a], scratch),
+            [] => return,
+        };
     }
 }
 
+/// Returns how many.
 #[inline(always)]
 fn blend_some<S: Simd, const MODES: usize>(
     simd: S,
     block: &Block<'_>,
-    warp: &LocalWarp,
-    (first, lambda): (usize, [f32; MODES]),
+    first: usize,
+    lambda: [f32; MODES],
     scratch: &mut Scratch,
-) {
-    Rendering::<S, MODES, false>::new(simd, warp, first, lambda).store(block, first == 0, scratch);
+) -> usize {
+    Rendering::<S, MODES, false>::new(simd, &[[0.0; 3]; 2], first, lambda).store(block, first == 0, scratch);
+    MODES
 }
 
 /// Takes off the template by how much saturated pixels would be brighter, see [`crate::backend::TriangleWarp::light`]. Returns how many

@@ -1,5 +1,5 @@
-//! The chart pixels of a level as the kernel wants them: groups of as many as the widest vector holds, all that
-//! belongs to a group in one run of memory.
+//! The chart pixels of a level as the kernels want them: groups of as many as the widest vector holds; positions, second
+//! differences, texels and modes of all groups each in one run of memory, which the processor can foresee.
 
 use std::ops::Range;
 
@@ -14,11 +14,11 @@ use crate::model::LevelTemplate;
 pub(super) const WIDEST: usize = 16;
 /// Groups per block at most.
 pub(super) const GROUPS: usize = BLOCK / WIDEST;
-/// Lines of a group before the modes: g_u, g_v, T0, q.
-pub(super) const TEXELS: usize = 4;
+/// Lines of a group beside the modes: g_u, g_v, T0, q.
+const TEXELS: usize = 4;
 
 /// One value each of a group of pixels; as long as a line of the cache and never across two of them.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Line<T>(pub(super) [T; WIDEST]);
 
@@ -51,8 +51,9 @@ pub(crate) struct FastLevel {
     pub(crate) mode_count: usize,
     positions: Vec<Line<i32>>,
     curvatures: Vec<Line<i32>>,
-    /// g_u, g_v, T0, q of every group, and T1..Tl of every group: runs through memory that the processor can foresee.
+    /// g_u, g_v, T0, q of every group.
     texels: Vec<[Line<f32>; TEXELS]>,
+    /// T1..Tl of every group.
     modes: Vec<Line<f32>>,
 }
 
@@ -76,6 +77,12 @@ impl Triangle {
     pub(super) fn count(&self) -> f64 {
         self.pixels as f64
     }
+
+    /// Number of its blocks.
+    #[inline(always)]
+    pub(super) fn blocks(&self) -> usize {
+        self.pixels.div_ceil(BLOCK)
+    }
 }
 
 /// At most [`BLOCK`] pixels of one triangle, padded to whole groups.
@@ -94,7 +101,7 @@ pub(super) struct Block<'a> {
 }
 
 impl<'a> Block<'a> {
-    /// The numbers of its groups.
+    /// The numbers of its groups. There are never more than the minimum says: it spares the test of every index.
     #[inline(always)]
     pub(super) fn groups(&self) -> Range<usize> {
         0..self.texels.len().min(GROUPS)
@@ -148,12 +155,6 @@ impl FastLevel {
         let line = |column: &Vec<f32>| Line::padded(column[range.clone()].iter().copied());
         self.texels.push([of_u, of_v, line(&pixels.intensity), line(&pixels.weight)]);
         self.modes.extend(pixels.modes.iter().map(line));
-    }
-
-    /// Number of blocks of a triangle.
-    #[inline(always)]
-    pub(super) fn blocks(triangle: &Triangle) -> usize {
-        triangle.pixels.div_ceil(BLOCK)
     }
 
     /// A block of a triangle.
