@@ -7,7 +7,7 @@ use fearless_simd::{Simd, prelude::*};
 use super::kernel::{Scratch, add_up, bilinear, fraction, load, neighbours, project, unpack, weigh};
 use super::locate::Place;
 use super::rendering::{Rendering, blend, unsaturate};
-use super::template::{Block, parts};
+use super::template::{Block, WIDEST};
 use crate::backend::local::LocalWarp;
 
 /// Adds the sums of a block to a row, gradients relative to the chart's centre. In a window all of the chart is inside the
@@ -111,7 +111,8 @@ fn sum_texels<S: Simd, P: Place, const MODES: usize, const BLURRED: bool>(
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for group in block.groups() {
         let [of_u, of_v, mean, weight] = &block.texels[group];
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let intensity = load(simd, mean, &at);
             let fraction = fraction(simd, scratch, group, &at);
             let so_far = if is_mean { intensity } else { load(simd, &scratch.template[group], &at) };

@@ -5,7 +5,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, prelude::*};
 
 use super::locate::Place;
-use super::template::{Block, GROUPS, Line, parts};
+use super::template::{Block, GROUPS, Line, WIDEST};
 
 /// A column of a block.
 pub(super) type Column<T> = [Line<T>; GROUPS];
@@ -144,7 +144,8 @@ fn project_some<S: Simd, const MODES: usize>(
     let mut sums = [S::f32s::splat(simd, 0.0); MODES];
     for group in block.groups() {
         let modes = block.modes::<MODES>(group, first);
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let qr = load(simd, &scratch.weighted[group], &at);
             for k in 0..MODES {
                 sums[k] = qr.mul_add(load(simd, &modes[k], &at), sums[k]);

@@ -8,7 +8,7 @@ use fearless_simd::{Simd, prelude::*};
 use super::kernel::{Column, Scratch, add_up, fraction, load, neighbours, project, unpack, weigh};
 use super::locate::Place;
 use super::rendering::blend;
-use super::template::{Block, parts};
+use super::template::{Block, WIDEST};
 use crate::backend::local::LocalWarp;
 
 /// Results of the steps over one block.
@@ -66,7 +66,8 @@ fn sum_first<S: Simd, P: Place>(
     let mut sums = [S::f32s::splat(simd, 0.0); 11];
     for group in block.groups() {
         let [_, _, mean, weight] = &block.texels[group];
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let intensity = load(simd, mean, &at);
             let template = if is_mean { intensity } else { load(simd, &common.template[group], &at) };
             let [fu, fv] = fraction(simd, common, group, &at);
@@ -97,7 +98,8 @@ fn sum_first<S: Simd, P: Place>(
 fn sum_places<S: Simd>(simd: S, block: &Block<'_>, a: &Column<f32>, b: &Column<f32>, totals: &mut [f64]) {
     let mut sums = [S::f32s::splat(simd, 0.0); 6];
     for group in block.groups() {
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let weight = load(simd, &a[group], &at) * load(simd, &b[group], &at);
             let [u, v] = unpack(simd, &block.positions[group].0[at]);
             let (of_u, of_v) = (weight * u, weight * v);
@@ -117,7 +119,8 @@ fn sum_places<S: Simd>(simd: S, block: &Block<'_>, a: &Column<f32>, b: &Column<f
 fn sum_mean<S: Simd>(simd: S, block: &Block<'_>, scratch: &LinearScratch, totals: &mut [f64]) {
     let mut sums = [S::f32s::splat(simd, 0.0); 12];
     for group in block.groups() {
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let intensity = load(simd, &block.texels[group][2], &at);
             for k in 0..6 {
                 let direction = load(simd, &scratch.direction[k][group], &at);
@@ -141,7 +144,8 @@ fn sum_modes<S: Simd, const N: usize>(
     let mut sums = [[S::f32s::splat(simd, 0.0); 6]; N];
     for group in block.groups() {
         let modes = block.modes::<N>(group, first);
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let mut values = [S::f32s::splat(simd, 0.0); N];
             for m in 0..N {
                 values[m] = load(simd, &modes[m], &at);

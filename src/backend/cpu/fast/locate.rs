@@ -4,7 +4,7 @@ use fearless_simd::{Simd, prelude::*};
 
 use super::kernel::{Scratch, splat, unpack};
 use super::pairs::{Pairs, Window};
-use super::template::{Block, WIDEST, parts};
+use super::template::{Block, WIDEST};
 use crate::backend::local::LocalWarp;
 
 /// A chart whose corners are this far inside the image lies inside it, whatever f32 does to its pixels.
@@ -66,7 +66,8 @@ impl Place for Window<'_> {
         let [one, stride, base] = splat(simd, [1.0, stride, base]);
         let groups = block.groups();
         for group in groups.clone() {
-            for at in parts::<S>() {
+            for i in (0..WIDEST).step_by(S::f32s::LEN) {
+                let at = i..i + S::f32s::LEN;
                 let [u, v] = unpack(simd, &block.positions[group].0[at.clone()]);
                 let inverse = one / apply(row_w, u, v);
                 let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
@@ -108,7 +109,8 @@ impl Place for Pairs<'_> {
         let stride = S::i32s::splat(simd, image.width.cast_signed());
         let [zero, one, outside] = splat(simd, [0.0, 1.0, -1.0]);
         for (group, positions) in block.positions.iter().enumerate() {
-            for at in parts::<S>() {
+            for i in (0..WIDEST).step_by(S::f32s::LEN) {
+                let at = i..i + S::f32s::LEN;
                 let [u, v] = unpack(simd, &positions.0[at.clone()]);
                 let depth = apply(row_w, u, v);
                 let inverse = one / depth;

@@ -6,7 +6,7 @@ use fearless_simd::{Simd, prelude::*};
 
 use super::kernel::{Scratch, bilinear, fraction, load, neighbours, splat};
 use super::locate::Place;
-use super::template::{Block, parts};
+use super::template::{Block, WIDEST};
 use crate::backend::local::LocalWarp;
 use crate::backend::{SATURATED, SATURATED_SHARE, TEMPLATE_BLUR};
 
@@ -41,8 +41,9 @@ impl<S: Simd, const MODES: usize, const BLURRED: bool> Rendering<S, MODES, BLURR
         [fu, fv]: [S::f32s; 2],
     ) -> S::f32s {
         let mut sum = so_far;
-        for (lambda, mode) in self.lambda.iter().zip(block.modes::<MODES>(group, self.first)) {
-            sum = lambda.mul_add(load(self.simd, mode, at), sum);
+        let (lambda, modes) = (self.lambda, block.modes::<MODES>(group, self.first));
+        for k in 0..MODES {
+            sum = lambda[k].mul_add(load(self.simd, &modes[k], at), sum);
         }
         if BLURRED {
             let packed = S::i32s::from_slice(self.simd, &block.curvatures[group].0[at.clone()]);
@@ -62,7 +63,8 @@ impl<S: Simd, const MODES: usize, const BLURRED: bool> Rendering<S, MODES, BLURR
     #[inline(always)]
     pub(super) fn store(&self, block: &Block<'_>, is_mean: bool, scratch: &mut Scratch) {
         for group in block.groups() {
-            for at in parts::<S>() {
+            for i in (0..WIDEST).step_by(S::f32s::LEN) {
+                let at = i..i + S::f32s::LEN;
                 let before = if is_mean { &block.texels[group][2] } else { &scratch.template[group] };
                 let (so_far, fraction) =
                     (load(self.simd, before, &at), fraction(self.simd, scratch, group, &at));
@@ -119,7 +121,8 @@ pub(super) fn unsaturate<S: Simd, P: Place>(
     let mut uncounted = zero;
     for group in block.groups() {
         let [_, _, mean, weight] = &block.texels[group];
-        for at in parts::<S>() {
+        for i in (0..WIDEST).step_by(S::f32s::LEN) {
+            let at = i..i + S::f32s::LEN;
             let fraction = fraction(simd, scratch, group, &at);
             let around = neighbours(simd, scratch, group, &at);
             let mut white = [zero; 4];

@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Simd, prelude::*};
 use nalgebra::Vector2;
 
 use super::BLOCK;
@@ -35,12 +34,6 @@ impl<T: Copy + Default> Line<T> {
         line.0.iter_mut().zip(values).for_each(|(place, value)| *place = value);
         line
     }
-}
-
-/// The parts of a line that are a vector each.
-#[inline(always)]
-pub(super) fn parts<S: Simd>() -> impl Iterator<Item = Range<usize>> {
-    (0..WIDEST / S::f32s::LEN).map(|k| k * S::f32s::LEN..(k + 1) * S::f32s::LEN)
 }
 
 /// One level of a template.
