@@ -58,7 +58,7 @@ impl Place for Window<'_> {
     /// Those of padding are inside as well.
     #[inline(always)]
     fn look_up<S: Simd>(self, simd: S, block: &Block<'_>, warp: &LocalWarp, scratch: &mut Scratch) {
-        let [row_u, row_v, row_w] = rows(simd, warp);
+        let rows = rows(simd, warp);
         #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
         let stride = self.width as f32;
         // Indices of pixels are exact in f32.
@@ -68,15 +68,13 @@ impl Place for Window<'_> {
         for group in groups.clone() {
             for i in (0..WIDEST).step_by(S::f32s::LEN) {
                 let at = i..i + S::f32s::LEN;
-                let [u, v] = unpack(simd, &block.positions[group].0[at.clone()]);
-                let inverse = one / apply(row_w, u, v);
-                let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
-                let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
-                let index: S::i32s = (corner_v.mul_add(stride, corner_u) + base).to_int();
+                let Spot { corner, fraction, .. } =
+                    spot(rows, one, unpack(simd, &block.positions[group].0[at.clone()]));
+                let index: S::i32s = (corner[1].mul_add(stride, corner[0]) + base).to_int();
                 let index: S::u32s = index.bitcast();
                 index.store_slice(&mut scratch.index[group].0[at.clone()]);
-                (local_u - corner_u).store_slice(&mut scratch.fraction[0][group].0[at.clone()]);
-                (local_v - corner_v).store_slice(&mut scratch.fraction[1][group].0[at]);
+                fraction[0].store_slice(&mut scratch.fraction[0][group].0[at.clone()]);
+                fraction[1].store_slice(&mut scratch.fraction[1][group].0[at]);
             }
             // One group behind: what has just been stored the compiler would take out of registers number by number, and
             // arithmetic of this group fills the time that the pixels of the last one take to arrive.
@@ -101,22 +99,18 @@ impl Place for Pairs<'_> {
     /// Also which of them are inside.
     #[inline(always)]
     fn look_up<S: Simd>(self, simd: S, block: &Block<'_>, warp: &LocalWarp, scratch: &mut Scratch) {
-        let image = &self;
-        let [row_u, row_v, row_w] = rows(simd, warp);
+        let rows = rows(simd, warp);
         let [base_u, base_v] = splat(simd, warp.base);
         #[expect(clippy::cast_precision_loss, reason = "image sides are far below 2^24")]
-        let [last_u, last_v] = splat(simd, [image.width as f32 - 1.0, image.height as f32 - 1.0]);
-        let stride = S::i32s::splat(simd, image.width.cast_signed());
+        let [last_u, last_v] = splat(simd, [self.width as f32 - 1.0, self.height as f32 - 1.0]);
+        let stride = S::i32s::splat(simd, self.width.cast_signed());
         let [zero, one, outside] = splat(simd, [0.0, 1.0, -1.0]);
         for (group, positions) in block.positions.iter().enumerate() {
             for i in (0..WIDEST).step_by(S::f32s::LEN) {
                 let at = i..i + S::f32s::LEN;
-                let [u, v] = unpack(simd, &positions.0[at.clone()]);
-                let depth = apply(row_w, u, v);
-                let inverse = one / depth;
-                let (local_u, local_v) = (apply(row_u, u, v) * inverse, apply(row_v, u, v) * inverse);
-                let (corner_u, corner_v) = (local_u.floor(), local_v.floor());
-                let (pixel_u, pixel_v) = (corner_u + base_u, corner_v + base_v);
+                let Spot { depth, corner, fraction } =
+                    spot(rows, one, unpack(simd, &positions.0[at.clone()]));
+                let (pixel_u, pixel_v) = (corner[0] + base_u, corner[1] + base_v);
                 // Positive range tests, so that NaN is outside, chained by their operands: combining masks is not inlined
                 // without optimisation across crates.
                 let from_left = depth.simd_gt(zero).select(pixel_u, outside);
@@ -127,21 +121,37 @@ impl Place for Pairs<'_> {
                 let column: S::i32s = inside.select(pixel_u, zero).to_int();
                 let index: S::u32s = (row * stride + column).bitcast();
                 index.store_slice(&mut scratch.index[group].0[at.clone()]);
-                inside
-                    .select(local_u - corner_u, zero)
-                    .store_slice(&mut scratch.fraction[0][group].0[at.clone()]);
-                inside
-                    .select(local_v - corner_v, zero)
-                    .store_slice(&mut scratch.fraction[1][group].0[at.clone()]);
+                for k in 0..2 {
+                    let fraction = inside.select(fraction[k], zero);
+                    fraction.store_slice(&mut scratch.fraction[k][group].0[at.clone()]);
+                }
                 inside.select(one, zero).store_slice(&mut scratch.inside[group].0[at]);
             }
-            image.quads(&scratch.index[group].0, &mut scratch.quad[group].0);
+            self.quads(&scratch.index[group].0, &mut scratch.quad[group].0);
         }
         let (whole, rest) = (block.pixels / WIDEST, block.pixels % WIDEST);
         if rest > 0 {
             scratch.inside[whole].0[rest..].fill(0.0);
         }
     }
+}
+
+/// Where a warp takes pixels of a chart, relative to its base.
+struct Spot<V> {
+    depth: V,
+    /// The pixel at the upper left.
+    corner: [V; 2],
+    /// Where between it and the next the spot lies.
+    fraction: [V; 2],
+}
+
+#[inline(always)]
+fn spot<S: Simd, V: SimdFloat<S>>(rows: [[V; 3]; 3], one: V, [u, v]: [V; 2]) -> Spot<V> {
+    let depth = apply(rows[2], u, v);
+    let inverse = one / depth;
+    let (local_u, local_v) = (apply(rows[0], u, v) * inverse, apply(rows[1], u, v) * inverse);
+    let corner = [local_u.floor(), local_v.floor()];
+    Spot { depth, corner, fraction: [local_u - corner[0], local_v - corner[1]] }
 }
 
 #[inline(always)]
